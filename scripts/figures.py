@@ -1,7 +1,7 @@
-"""All tables of results in the documents, from finished studies: docs/results/swerve.md and ball.md, and the README's figures.
+"""All tables of results in the documents, from finished studies: docs/results/swerve.md, ball.md and obstacles.md, and the README's figures.
 
 Usage: python scripts/figures.py [--run] [--runs runs]
-The studies are swerve-goals, swerve-loads, rezero-goals and rezero-loads of `wbmpc study`, whose folders are looked for in --runs;
+The studies are swerve-goals, swerve-loads, rezero-goals, rezero-loads and obstacles of `wbmpc study`, whose folders are looked for in --runs;
 --run does first what of them is not finished (days). Each experiment's rows name the commit that its runs recorded; experiments
 without runs keep the rows that they have. How old tables are: docs/_ext/table_age.py.
 """
@@ -23,8 +23,6 @@ from wbmpc.units import scale
 
 ROOT = Path(__file__).parents[1]
 TABLE_AGE = ROOT / "docs" / "_ext" / "table_age.py"
-#: By first letters of an experiment's name, the page and mark of its robot.
-PAGES = {"swerve": "swerve", "rezero": "ball"}
 #: What the papers say of experiments for which they give no figure.
 PAPER = {
     "rezero-steps": "“acceptable”",
@@ -132,8 +130,18 @@ def _renewed(old: str, new: str) -> str:
     return "".join((parts(old) | parts(new)).values())
 
 
+#: By study, the page of its tables, their mark there, and what writes them.
+STUDIES = {
+    "swerve-goals": ("swerve", "swerve goals", goals),
+    "swerve-loads": ("swerve", "swerve loads", loads),
+    "rezero-goals": ("ball", "ball goals", goals),
+    "rezero-loads": ("ball", "ball loads", loads),
+    "obstacles": ("obstacles", "obstacles", loads),
+}
+
+
 def main() -> None:
-    """Publish each robot's tables."""
+    """Publish each study's tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", action="store_true", help="do first what is not finished")
     parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="where the studies' folders are")
@@ -141,18 +149,16 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     given = parser.parse_args()
     made, of_goals = [], []
-    for robot, page in PAGES.items():
-        for kind, write in (("goals", goals), ("loads", loads)):
-            name = f"{robot}-{kind}"
-            out = given.runs / name
-            if given.run:
-                subprocess.run([sys.executable, "-m", "wbmpc", "study", name, "--out", str(out)], check=True)
-            if (out / "statistics.json").is_file():
-                found = json.loads((out / "statistics.json").read_text())
-                text = write(found["cells"], ", ".join(found["commit"]) or "unknown")
-                publish(given.docs / "results" / f"{page}.md", f"{page} {kind}", text)
-                made.append(name)
-                of_goals += [out / "statistics.json"] * (kind == "goals")
+    for name, (page, mark, write) in STUDIES.items():
+        out = given.runs / name
+        if given.run:
+            subprocess.run([sys.executable, "-m", "wbmpc", "study", name, "--out", str(out)], check=True)
+        if (out / "statistics.json").is_file():
+            found = json.loads((out / "statistics.json").read_text())
+            text = write(found["cells"], ", ".join(found["commit"]) or "unknown")
+            publish(given.docs / "results" / f"{page}.md", mark, text)
+            made.append(name)
+            of_goals += [out / "statistics.json"] * (write is goals)
     if not made:
         raise SystemExit(f"figures: {given.runs} holds no finished studies: wbmpc study swerve-goals")
     kept = fill_from_studies(given.readme, of_goals)
