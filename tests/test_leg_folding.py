@@ -12,7 +12,7 @@ import pytest
 import wbmpc as wb
 from clearing import TrueDistance
 from wbmpc.bases import base_type
-from wbmpc.bases.swerve.leg_folding import AFTER, BEFORE, GAP, SHARES, STEP, LegFolding
+from wbmpc.bases.swerve.leg_folding import AFTER, BEFORE, EARLY, GAP, SHARES, STEP, LegFolding
 
 SPEED, BEGIN, LONG, WIDTH = 0.25, 2.0, 1.5, 1.0
 HALF = [0.5 * LONG, 0.1, 0.7]
@@ -130,6 +130,20 @@ def test_brakes_are_open_while_legs_turn_no_faster_than_they_can(robot: wb.Robot
     np.testing.assert_allclose([angles[0], angles[-1]], np.tile(robot.home[leg], (2, 1)), atol=1e-6)
     narrowest = np.abs(np.array(angles) - robot.home[leg]).max(axis=0)
     assert (narrowest > 0.3).all()
+
+
+def test_legs_are_folded_before_they_have_to_be(robot: wb.RobotModel) -> None:
+    """Of what has time enough to fold, everything is folded that long before its place needs it."""
+    made, mpc = folding(robot)
+    made.update(0.0)
+    assert made._ahead is not None
+    times, planned, _ = made._ahead
+    shares, _ = made.needed(mpc.obstacles.snapshot(0.0), times, path(robot, times))
+    late = times >= times[0] + 5.0
+    assert shares[late].any()
+    for t, share in zip(times[late], shares[late], strict=True):
+        early = planned[np.abs(times - (t - EARLY)) < 1e-6][0]
+        assert (early >= share - 1e-9).all(), t
 
 
 def test_without_obstacles_nothing_changes(robot: wb.RobotModel) -> None:

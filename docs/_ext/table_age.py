@@ -63,7 +63,11 @@ TABLES = (
     _marked("swerve loads", "docs/results/swerve.md", SWERVE),
     _marked("ball goals", "docs/results/ball.md", BALL),
     _marked("ball loads", "docs/results/ball.md", BALL),
-    _marked("obstacles", "docs/results/obstacles.md", SIMULATED | {f"bases/{b}" for b in ("ball", "swerve", "planar_motion")}),
+    _marked(
+        "obstacles",
+        "docs/results/obstacles.md",
+        SIMULATED | {f"bases/{b}" for b in ("ball", "swerve", "planar_motion")},
+    ),
     _marked("rooms", "docs/results/rooms.md", SIMULATED | {"bases/differential"}),
     _marked("translator", "docs/explanation/solver.md", frozenset({"kernel"})),
 )

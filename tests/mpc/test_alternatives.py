@@ -4,6 +4,7 @@ forms of a clock."""
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ import pytest
 import wbmpc as wb
 from planar_driving import write_robot
 from test_tasks import WHEELS
+from wbmpc.bases import base_type
 from wbmpc.configuration import configure
 from wbmpc.default_problem import default_mpc
 from wbmpc.mpc.alternatives import _way
-from wbmpc.mpc.route import carried_poses, carried_states, carrying_base, timed_route
+from wbmpc.mpc.route import carried_poses, carried_states, carrying_base, swung_poses, timed_route
 from wbmpc.registry import load
 from wbmpc.result import RunResult
 
@@ -135,6 +137,57 @@ def test_an_mpc_follows_a_route_to_its_end(driving: Path) -> None:
     np.testing.assert_allclose(x[robot.state["base"]][:3], goal, atol=0.02)
     with pytest.raises(wb.InputError, match="rows of 3 finite numbers"):
         wb.follow_route(mpc, robot, [start])
+
+
+def found_at_a_gap(robot: wb.RobotModel, reshapes: bool) -> tuple[list[str], int]:
+    """Names of winners, and failed searches, of a robot that comes to a low wall with a gap of 1.05 m to the left of its way."""
+    world = wb.Obstacles()
+    for name, half, y in (("right", 1.625, -1.375), ("left", 1.5, 2.85)):
+        world.set(name, wb.shapes.Box((0.05, half, 0.25)), position=(2.2, y, 0.25))
+    mpc = base_type("swerve").mpc(robot, world, rate=20.0, intervals=25)
+    times = np.linspace(0.0, 10.0, 101)
+    base = np.column_stack([1.0 + 0.3 * times, np.zeros((101, 2))])
+    poses = carried_poses(robot, base)
+    mpc.reference["end_effector"] = wb.Reference.poses(times, poses[:, :3], poses[:, 3:])
+    mpc.reference["state"] = wb.Reference(times, carried_states(robot, base))
+    pace = wb.PacedReferences(mpc)
+    shapes = base_type("swerve").reshaping(robot, mpc, SimpleNamespace()) if reshapes else None  # type: ignore[arg-type]
+    others, x = wb.Alternatives(mpc, robot, pace, shapes), carried_states(robot, base[:1])[0]
+    for k in range(400):
+        t = 0.05 * k
+        pace.advance(t, robot.pose(x)[0])
+        others.advance(t)
+        if others.failed or any(name != "wait" for _, name in others.taken):
+            break
+        x = mpc.simulate(x, mpc.update(wb.Observation(t, x))(t, x), 0.05)
+    return [name for _, name in others.taken if name != "wait"], others.failed
+
+
+def test_legs_that_fold_lead_through_a_gap_that_is_too_narrow_at_home() -> None:
+    """Truth: the gap is narrower than the robot's shapes at home and wider than its body, by its file; without another shape nothing is
+    found."""
+    robot = wb.load_robot("swerve-ur10")
+    wheels = robot.base.geometry.steer_axes(robot.home[robot.state["leg"]])
+    body = 2.0 * np.abs(robot.base.geometry.hinge[:, 1]).max()
+    assert np.ptp(wheels[:, 1]) > 1.05 > body + 2.0 * robot.description.collision.margin
+    assert found_at_a_gap(robot, True) == (["left, narrow"], 0)
+    assert found_at_a_gap(robot, False) == ([], 1)
+
+
+def test_the_end_effector_swings_to_where_it_is_carried(driving: Path) -> None:
+    """From where it is, at rest, to where it is at home, no faster than a smooth step of 3 s is. Truth: the robot's kinematics."""
+    robot = wb.load_robot(driving)
+    start = robot.home.copy()
+    start[robot.state["arm"]] += 0.5
+    times = np.linspace(0.0, 4.0, 401)
+    base = np.column_stack([0.1 * times, np.zeros((401, 2))])
+    poses, home = swung_poses(robot, times, base, start), carried_poses(robot, base)
+    np.testing.assert_allclose(poses[0, :3], robot.pose(start)[0], atol=1e-9)
+    assert abs(poses[0, 3:] @ robot.pose(start)[1]) == pytest.approx(1.0, abs=1e-9)
+    np.testing.assert_allclose(poses[times >= 3.0], home[times >= 3.0], atol=1e-9)
+    beside = poses[:, :3] - home[:, :3]
+    speed = np.linalg.norm(np.diff(beside, axis=0), axis=1) / 0.01
+    assert speed.max() <= 1.5 * np.linalg.norm(beside[0]) / 3.0 + 1e-6 and speed[0] < 0.02 * speed.max()
 
 
 def test_references_take_a_detour_and_rejoin(driving: Path) -> None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
-    from wbmpc.ocp import Constraint
+    from wbmpc.ocp import Constraint, Mode
     from wbmpc.robots.description import LimitsDescription, RobotDescription
     from wbmpc.robots.findings import Finding
     from wbmpc.robots.mechanism import Mechanism
@@ -278,7 +278,11 @@ class WheelFit(Protocol):
 
 
 class Reshaping(Protocol):
-    """What adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`)."""
+    """What adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the robot at home
+    in its narrowest shape; ``free``: the mode in which its shape may change."""
+
+    narrowest: Array
+    free: Mode
 
     def update(self, t: float) -> None:
         """Set references and modes of its MPC for updates from ``t`` [s] on, after the reference "state" is set."""
@@ -337,14 +341,9 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "mpc")
 
     def system(
-        self,
-        robot: RobotModel,
-        seed: int,
-        perturbation: Perturbation | None = None,
-        mpc: MPC | None = None,
-        edit: Edit | None = None,
-        calibration: Calibration | None = None,
-    ) -> System:
+        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None,
+        edit: Edit | None = None, calibration: Calibration | None = None,
+    ) -> System:  # fmt: skip
         """Plant, controller and MPC: what views and general experiments start from. ``perturbation`` of the plant and ``mpc``: the default
         ones where they are left out; another MPC has the robot's own dynamics. ``edit`` adds to MuJoCo's scene; ``calibration``: what
         :meth:`calibrate` found."""

@@ -39,13 +39,21 @@ MOST = 4_000_000
 
 
 class Footprint:
-    """Whether the robot at home is clear of obstacles by more than ``margin`` [m] with its base at given poses."""
+    """Whether the robot, at home or in another ``shape`` (nx), is clear of obstacles by more than ``margin`` [m] with its base at given
+    poses."""
 
-    def __init__(self, robot: RobotModel, snapshot: Snapshot, margin: float, t: float) -> None:
-        self._robot, self._snapshot, self._t = robot, snapshot, t
-        self._finder = Finder(robot_geometry(robot), margin, deep=False)
+    def __init__(
+        self, robot: RobotModel, snapshot: Snapshot, margin: float, t: float, shape: Array | None = None
+    ) -> None:
+        self._shape, self._snapshot, self._t = robot.home if shape is None else shape, snapshot, t
+        geometry = robot_geometry(robot)
+        self._finder = Finder(geometry, margin, deep=False)
         start = robot.state["base"].start
         self._part = slice(start, start + 3)
+        centers = geometry.at(*geometry.kinematics(self._shape[None]))[0][0]
+        beside = np.linalg.norm(centers[:, :2] - self._shape[start : start + 2], axis=1)
+        #: within which [m] of the base's place the robot turns
+        self.radius = float((beside + geometry.radius).max())
 
     def clear(self, poses: Array) -> NDArray[np.bool_]:
         """(n) of base poses (n, 3)."""
@@ -54,7 +62,7 @@ class Footprint:
         )
 
     def _clear(self, poses: Array) -> NDArray[np.bool_]:
-        states = np.tile(self._robot.home, (len(poses), 1))
+        states = np.tile(self._shape, (len(poses), 1))
         states[:, self._part] = poses
         near = self._finder.find(self._snapshot, Poses(np.full(len(poses), self._t), *self._finder.kinematics(states)))
         return np.asarray(~np.isfinite(near.distance).any(axis=(1, 2)))

@@ -3,8 +3,9 @@
 An MPC finds local optima: in front of a wall that stands head-on it waits, though there is a way on either side. Here a second MPC of
 the same problem runs ahead of time on the model, with one solve for each update of the first: once with the references as they are, if
 they did not wait (what is in the way may leave), and along other ways to behind what is in the way: left, right, back and on again. A way
-counts if the robot gets on along it and keeps clear; the one that leaves the least to go wins. Where none counts, the robot is stuck.
-What moves past the robot is waited for.
+counts if the robot gets on along it and keeps clear; the one that leaves the least to go wins. A base that can change its shape tries
+ways in its narrowest one too, where it finds none as it is at home. Where none counts, the robot is stuck. What moves past the robot is
+waited for.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,18 +28,20 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.pace import PacedReferences
 from wbmpc.mpc.route import (
     base_part,
-    carried_poses,
     carried_states,
     carrying_base,
     set_carried,
+    swung_poses,
     timed_route,
     weigh_base,
 )
-from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Obstacles, Snapshot
-from wbmpc.ocp import Reference
+from wbmpc.ocp import ModeSchedule, Reference
 from wbmpc.solver import Solver
 from wbmpc.types import Observation
+
+if TYPE_CHECKING:
+    from wbmpc.bases.base import Reshaping
 
 _LOG = logging.getLogger("wbmpc")
 Array = NDArray[np.float64]
@@ -51,6 +54,10 @@ SOLVES, STEP = 10, 0.3
 FIRST = 4
 #: How much nearer [m] to its end the robot is then, at least.
 MOVED = 0.2
+#: A robot that fits in another shape goes back to its way so far [m] ahead.
+ONWARD = 1.0
+#: So many radii before the first blocked place the robot turns onto its way past: more where its references are in there already.
+BEFORE = (1.0, 2.0)
 #: How far aside [m] a way past something may lead, in steps [m]; how far [m] the robot backs off first, and how often at most.
 FARTHEST, ASIDE, BACK, BACKS = 2.5, 0.1, 0.35, 3
 #: Headings that are checked at a place where the robot turns: legs that stick out by a meter pass 17 cm between two.
@@ -62,11 +69,13 @@ SPEED, TURN_SPEED, RAMP, TURN = 0.3, 0.6, 0.5, 0.35
 
 
 class _Way(NamedTuple):
-    """Another way: base poses (n, 3) to where the references are at ``rejoin`` [s] of their time; none to stay on theirs."""
+    """Another way: base poses (n, 3) to where the references are at ``rejoin`` [s] of their time; none to stay on theirs. ``shape`` (nx):
+    in which the robot goes there; None: as it is at home."""
 
     name: str
     poses: Array
     rejoin: float
+    shape: Array | None = None
 
 
 class Alternatives:
@@ -74,22 +83,18 @@ class Alternatives:
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
     while the references waited for something that stands; ``searches``: how many have ended; ``taken``: times [s] and names of the
-    winners; ``computation`` [s]: of all of it. While the robot goes another way, its base has a weight in the cost "state". Raises
+    winners; ``computation`` [s]: of all of it. While the robot goes another way, its base has a weight in the cost "state".
+    ``reshaping``: what changes the base's shape on the way (:meth:`wbmpc.bases.base.BaseType.reshaping`; None: nothing does). Raises
     :class:`InputError` for an MPC without obstacles or with progress along a path, and a base that does not move or balances.
     """
 
-    def __init__(self, mpc: MPC, robot: RobotModel, pace: PacedReferences) -> None:
+    def __init__(self, mpc: MPC, robot: RobotModel, pace: PacedReferences, reshaping: Reshaping | None = None) -> None:
         base_part(robot)
         if mpc.obstacles is None or mpc.path.active or robot.base.balances:
             raise InputError(
                 "alternatives: valid: an MPC with obstacles, without progress along a path, of a robot that does not balance"
             )
-        self._mpc, self._robot, self._pace = mpc, robot, pace
-        geometry = robot_geometry(robot)
-        centers = geometry.at(*geometry.kinematics(robot.home[None]))[0][0]
-        beside = np.linalg.norm(centers[:, :2] - robot.home[base_part(robot)][:2], axis=1)
-        #: within which [m] of the base's place the robot turns
-        self._radius = float((beside + geometry.radius).max())
+        self._mpc, self._robot, self._pace, self._reshaping = mpc, robot, pace, reshaping
         self._world = Obstacles()
         self._ahead = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, plan_only_limits=True, obstacles=self._world)
         self.failed, self.searches, self.computation = 0, 0, 0.0
@@ -136,26 +141,46 @@ class Alternatives:
         assert self._mpc.obstacles is not None
         snapshot = self._mpc.obstacles.snapshot(t)
         still = Snapshot(tuple(o for o in snapshot.obstacles if not o.velocity.any()), snapshot.frames)
-        footprint = Footprint(self._robot, still, self._robot.description.collision.margin, t)
+        margin, robot = self._robot.description.collision.margin, self._robot
+        footprint = Footprint(robot, still, margin, t)
         times, places = self._carried()
         clear = footprint.clear(places)
         if clear.all():  # nothing that stands is in its way: its arm lags behind, and time helps
             self._not_before = t + AGAIN
             return
         self._found, self._solves = [], 0
-        self._ways = [_Way("wait", np.zeros((0, 3)), self._pace.time)]
-        target = _behind(footprint, times, places, int(np.argmin(clear)))
-        start = self._now(t)[base_part(self._robot)]
+        start = self._now(t)[base_part(robot)]
+        found = self._ways_of(footprint, start, times, places, clear)
+        if self._reshaping is not None:
+            shape = self._reshaping.narrowest
+            narrow = Footprint(robot, still, margin, t, shape)
+            known = {way.name for way in found}
+            more = self._ways_of(narrow, start, times, places, narrow.clear(places))
+            found += [w._replace(name=f"{w.name}, narrow", shape=shape) for w in more if w.name not in known]
+        self._ways = [_Way("wait", np.zeros((0, 3)), self._pace.time), *found]
+
+    def _ways_of(
+        self, footprint: Footprint, start: Array, times: Array, places: Array, clear: NDArray[np.bool_]
+    ) -> list[_Way]:
+        """Ways of a shape from a base pose (3) to behind the first of its ``places`` (n, 3) at ``times`` (n) [s] that is not ``clear`` (n),
+        or, if all are, back to them from a place where it can turn."""
         back = self._off(footprint, start)
-        if target is None or back is None:
-            return
+        if back is None:
+            return []
+        if clear.all():
+            k = min(int(np.argmax(np.linalg.norm(places - start, axis=1) > ONWARD)) or len(places) - 1, len(places) - 1)
+            again = _way([start, back, places[k]])
+            return [_Way("back", again, float(times[k]))] if _clear(footprint, again[1:]) else []
+        target = _behind(footprint, times, places, int(np.argmin(clear)))
+        if target is None:
+            return []
         rejoin, goal, end, blocked = target
         found = [
             (n, self._past(footprint, (start, back, goal), blocked, s)) for n, s in (("left", 1.0), ("right", -1.0))
         ]
         straight = _way([start, back, goal])
         found.append(("back", straight if _clear(footprint, straight[1:]) else None))
-        self._ways += [_Way(n, unwrapped(np.vstack([way, end])), rejoin) for n, way in found if way is not None]
+        return [_Way(n, unwrapped(np.vstack([way, end])), rejoin) for n, way in found if way is not None]
 
     def _now(self, t: float) -> Array:
         """Where the MPC's plan has the robot (nx of the problem) at ``t`` [s], or where it begins if that is later."""
@@ -189,9 +214,9 @@ class Alternatives:
             return None
         ahead /= length
         left, heading = np.array([-ahead[1], ahead[0]]), np.arctan2(ahead[1], ahead[0])
-        ends = np.column_stack([[blocked[0, :2] - self._radius * ahead, goal[:2]], [heading, heading]])
-        for aside in np.arange(ASIDE, FARTHEST + 1e-9, ASIDE):
-            past = ends + np.array([*(side * aside * left), 0.0])
+        for aside, before in itertools.product(np.arange(ASIDE, FARTHEST + 1e-9, ASIDE), BEFORE):
+            turns = blocked[0, :2] - before * footprint.radius * ahead
+            past = np.column_stack([[turns, goal[:2]], [heading, heading]]) + np.array([*(side * aside * left), 0.0])
             if _clear(footprint, past):
                 way = _way([start, back, *past, goal])
                 if _clear(footprint, way[1:]):
@@ -231,10 +256,12 @@ class Alternatives:
         running = {"end_effector": self._pace.running(t)["end_effector"]}
         for term, reference in {**mpc.solver.references, **running}.items():
             ahead.solver.set_reference(term, reference)
-        ahead.solver.set_schedule(mpc.solver.schedule)
+        free = self._reshaping.free if way.shape is not None and self._reshaping is not None else None
+        ahead.solver.set_schedule(mpc.solver.schedule if free is None else ModeSchedule((free,)))
         if len(way.poses):
             times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
-            set_carried(ahead.solver, self._robot, t + times, base)
+            poses = swung_poses(self._robot, times, base, self._x)
+            set_carried(ahead.solver, self._robot, t + times, poses, carried_states(self._robot, base, way.shape))
         plan = mpc.solver.trajectory(copy=False)
         ahead.resume(plan.x, plan.u, start)
 
@@ -277,7 +304,7 @@ class Alternatives:
     def _take(self, t: float, way: _Way) -> None:
         """The references take a way, then go on where they rejoin; until there the base has a weight."""
         times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
-        poses = carried_poses(self._robot, base)
+        poses = swung_poses(self._robot, times, base, self._now(t))
         ways = {"end_effector": Reference.poses(times, poses[:, :3], poses[:, 3:])}
         solver = self._mpc.solver
         part = solver.problem.constant.slices.get("path.state")

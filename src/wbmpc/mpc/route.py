@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 SHARE, LENGTH = 0.1, 0.5
 #: A route takes so long at least [s]; interval [s] of its references.
 SHORTEST, SAMPLED = 0.1, 0.02
+#: Time [s] in which the end effector swings from where it is to where it is carried.
+SWING = 3.0
 _UP = (0.0, 0.0, 1.0)
 
 
@@ -35,17 +37,18 @@ def base_part(robot: RobotModel) -> slice:
     return slice(start, start + 3)
 
 
-def carried_states(robot: RobotModel, base: Array) -> Array:
-    """States (n, nx) of the robot at home with its base at poses (n, 3: x, y [m], yaw [rad])."""
-    states = np.tile(robot.home, (len(base), 1))
+def carried_states(robot: RobotModel, base: Array, shape: Array | None = None) -> Array:
+    """States (n, nx) of the robot at home, or in another ``shape`` (nx), with its base at poses (n, 3: x, y [m], yaw [rad])."""
+    states = np.tile(robot.home if shape is None else shape, (len(base), 1))
     states[:, base_part(robot)] = base
     return states
 
 
-def carried_poses(robot: RobotModel, base: Array) -> Array:
-    """Poses (n, 7) of the end effector beside a base at poses (n, 3: x, y [m], yaw [rad]), as it is at home."""
-    home = robot.home[base_part(robot)]
-    position, quaternion = robot.pose(robot.home)
+def carried_poses(robot: RobotModel, base: Array, shape: Array | None = None) -> Array:
+    """Poses (n, 7) of the end effector beside a base at poses (n, 3: x, y [m], yaw [rad]), as it is at home, or in another ``shape`` (nx)."""
+    shape = robot.home if shape is None else shape
+    home = shape[base_part(robot)]
+    position, quaternion = robot.pose(shape)
     beside, turn = position[:2] - home[:2], base[:, 2] - home[2]
     c, s = np.cos(turn), np.sin(turn)
     poses = np.empty((len(base), 7))
@@ -53,6 +56,17 @@ def carried_poses(robot: RobotModel, base: Array) -> Array:
     poses[:, 1] = base[:, 1] + s * beside[0] + c * beside[1]
     poses[:, 2] = position[2]
     poses[:, 3:] = [lie.quaternion_multiply(lie.quaternion_about(_UP, float(a)), quaternion) for a in turn]
+    return poses
+
+
+def swung_poses(robot: RobotModel, times: Array, base: Array, start: Array) -> Array:
+    """Poses (n, 7) of the end effector at ``times`` (n) [s] beside a base at poses (n, 3): within :data:`SWING` from where it is in the state
+    ``start`` (nx) to where it is at home. A reference that jumps there would throw the arm at what is near."""
+    share = np.clip((times - times[0]) / SWING, 0.0, 1.0)
+    share *= share * (3.0 - 2.0 * share)
+    before, poses = carried_poses(robot, base, start), carried_poses(robot, base)
+    poses[:, :3] += (1.0 - share[:, None]) * (before[:, :3] - poses[:, :3])
+    poses[:, 3:] = [lie.slerp(a, b, float(k)) for a, b, k in zip(before[:, 3:], poses[:, 3:], share, strict=True)]
     return poses
 
 
@@ -118,13 +132,12 @@ def follow_route(
     if "end_effector" not in mpc.reference:
         raise InputError("route: the MPC needs a reference 'end_effector'")
     times, base = timed_route(route, speed, turn_speed, ramp)
-    set_carried(mpc.solver, robot, start + times, base)
+    set_carried(mpc.solver, robot, start + times, carried_poses(robot, base), carried_states(robot, base))
     return float(start + times[-1])
 
 
-def set_carried(solver: Solver, robot: RobotModel, times: Array, base: Array) -> None:
-    """References of a base at poses (n, 3) at ``times`` (n) [s] with the end effector beside it."""
-    poses = carried_poses(robot, base)
+def set_carried(solver: Solver, robot: RobotModel, times: Array, poses: Array, states: Array) -> None:
+    """References at ``times`` (n) [s]: ``poses`` (n, 7) of the end effector, and ``states`` (n, nx) where the problem has a cost of them."""
     solver.set_reference("end_effector", Reference.poses(times, poses[:, :3], poses[:, 3:]))
     if weigh_base(solver, robot):
-        solver.set_reference("state", Reference(times, carried_states(robot, base)))
+        solver.set_reference("state", Reference(times, states))

@@ -113,8 +113,10 @@ def closed_loop(
     joints, every = JointRecord(log, robot, system), max(1, round(RECORDED / system.timing.period))
     perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
     pace = PacedReferences(mpc) if paced and around and not mpc.path.active else None
-    others = Alternatives(mpc, robot, pace) if pace and alternatives and _may_detour(robot, mpc) else None
-    watch = SceneWatch(around, system, log, since, robot, pace, perceive, others) if around else None
+    kind = base_type(robot.description.base.type)
+    reshaping = kind.reshaping(robot, mpc, system.controller) if pace else None
+    others = Alternatives(mpc, robot, pace, reshaping) if pace and alternatives and _may_detour(robot, mpc) else None
+    watch = SceneWatch(around, system, log, since, robot, pace, perceive, others, reshaping) if around else None
     over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
 
     watches: list[Any] = [w for w in (watch, PayloadWatch.of(settings, robot, system, log)) if w]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
-from wbmpc.bases import base_type
-from wbmpc.bases.base import System
+from wbmpc.bases.base import Reshaping, System
 from wbmpc.errors import RobotStuck
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -59,19 +58,17 @@ def stays(places: Sequence[tuple[float, Array]]) -> bool:
 
 class SceneWatch:
     """Moves the obstacles of a simulated world, shows them to the MPC (with ``perceive``: its sensors do), and measures how near the
-    ``robot`` comes. ``pace``: what lets the references wait; with it a base that can adapts its shape, and a robot that is stuck ends its
-    run; ``alternatives``: what is tried before that."""
+    ``robot`` comes. ``pace``: what lets the references wait; with it a robot that is stuck ends its run; ``alternatives``: what is tried before
+    that; ``reshaping``: what adapts the base's shape."""
 
     def __init__(
         self, around: SimulatedObstacles, system: System, log: Log, since: float, robot: RobotModel,
         pace: PacedReferences | None = None, perceive: Callable[[], Perception] | None = None,
-        alternatives: Alternatives | None = None,
+        alternatives: Alternatives | None = None, reshaping: Reshaping | None = None,
     ) -> None:  # fmt: skip
         self._around, self._system, self._log, self._since = around, system, log, since
         self._margin, self._pace = robot.description.collision.margin, pace
-        self._alternatives = alternatives
-        kind = base_type(robot.description.base.type)
-        self._reshaping = None if pace is None else kind.reshaping(robot, system.mpc, system.controller)
+        self._alternatives, self._reshaping = alternatives, reshaping
         self._every = max(1, round(MEASURED / system.timing.period))
         around.bind(system.plant.model)
         around.place(system.plant.data, 0.0)

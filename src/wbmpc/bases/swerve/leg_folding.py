@@ -19,7 +19,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Snapshot
-from wbmpc.ocp import Reference
+from wbmpc.ocp import Mode, Reference
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,6 +34,8 @@ GAP, REACH = 0.02, 0.3
 INWARD = 0.12
 #: Legs turn with this share of their speed limit, the base moves aside so fast [m/s].
 LEG_SHARE, ASIDE_SPEED = 0.6, 0.05
+#: Legs are folded so long [s] before they have to be: one that lags behind comes in front of what it is to pass, and stays there.
+EARLY = 1.0
 #: Brakes are open from so long [s] before their leg turns until so long after.
 BEFORE, AFTER = 0.3, 0.6
 
@@ -55,6 +57,9 @@ class LegFolding:
         folded = straight + np.sign(straight - asked) * INWARD
         # a leg that slides is narrowest where it is shortest
         self._narrow = np.where(geometry.slides > 0.0, lower, np.clip(folded, lower, upper))
+        self.narrowest = robot.home.copy()
+        self.narrowest[self._leg] = self._narrow
+        self.free = Mode("unfolding", {"brake": (1.0,) * geometry.modules})
         #: legs at one end of the body fold alike
         self._pair = geometry.hinge[:, 0] > 0.0
         self._rate = LEG_SHARE * float(limits.input_upper[robot.input["leg"]].min())
@@ -122,6 +127,8 @@ class LegFolding:
         times = _times(t, self._mpc.ocp.horizon + BEYOND)
         states = np.array([asked.at(float(at))[: self.robot.state.size] for at in times])
         shares, aside = self.needed(snapshot, times, states)
+        ahead = [np.vstack([shares[k:], np.repeat(shares[-1:], k, axis=0)]) for k in range(round(EARLY / STEP) + 1)]
+        shares = np.max(ahead, axis=0)
         speeds = np.abs(self._narrow - states[:, self._leg]).max(axis=0)
         rate = self._rate / np.maximum(speeds, 1e-3)
         now, offs = self._planned(times[:1])
