@@ -14,7 +14,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
-from wbmpc.robots.mujoco_warnings import log_warnings
+from wbmpc.robots.mujoco_settings import log_warnings, stop_timers
 from wbmpc.simulation.contacts import GROUND, Contacts, enable
 from wbmpc.simulation.frame_step import from_base
 from wbmpc.simulation.speed_torque import SpeedTorque
@@ -131,6 +131,7 @@ class World:
         which drives give their whole torque, by actuator. Raises :class:`InputError` naming the robot's file where it cannot be
         simulated: a base without mass."""
         log_warnings()
+        stop_timers()
         enable(spec, description.home, description.model)
         self.model: mujoco.MjModel = compiled(spec, description.model)
         self.data = mujoco.MjData(self.model)
@@ -141,7 +142,9 @@ class World:
         self.body, self.site = m.body(description.base.body).id, self._tool(description.arm.tool)
         self._bind_frames()
         self._root, self._mount = self._free_root()
-        self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
+        self._joints = tuple(joints)
+        self._joint_places = np.array([m.joint(name).qposadr[0] for name in joints], dtype=int)
+        self._joint_dofs = np.array([m.joint(name).dofadr[0] for name in joints], dtype=int)
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
         self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
 
@@ -333,13 +336,11 @@ class World:
 
     def joints(self) -> dict[str, float]:
         """True joint angles [rad] by name."""
-        positions = self.data.qpos.tolist()
-        return {name: positions[q] for name, (q, _) in self._joints.items()}
+        return dict(zip(self._joints, self.data.qpos[self._joint_places].tolist(), strict=True))
 
     def joint_speeds(self) -> dict[str, float]:
         """True joint speeds [rad/s] by name."""
-        speeds = self.data.qvel.tolist()
-        return {name: speeds[v] for name, (_, v) in self._joints.items()}
+        return dict(zip(self._joints, self.data.qvel[self._joint_dofs].tolist(), strict=True))
 
 
 class WorldAccess:
