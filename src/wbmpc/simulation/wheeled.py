@@ -95,8 +95,8 @@ class WheeledPlant(ArmPlant):
         """Also the inertial unit."""
         super().start_sensors(offsets)
         p, draw = self.perturbation, self.draw
-        self._bias = np.stack([draw.gyro_bias, draw.accel_bias])
-        self._density = np.array([[p.gyro_noise], [p.accel_noise]]), np.array([[p.gyro_walk], [p.accel_walk]])
+        self._bias = np.concatenate([draw.gyro_bias, draw.accel_bias])
+        self._density = np.repeat([p.gyro_noise, p.accel_noise], 3), np.repeat([p.gyro_walk, p.accel_walk], 3)
 
     # ------------------------------------------------------------------ running
     def inertial(self) -> dict[str, Array]:
@@ -104,7 +104,7 @@ class WheeledPlant(ArmPlant):
         last message."""
         interval = _IMU_INTERVAL if self._last is None else self.time - self._last.time
         (noise, walk), root = self._density, math.sqrt(interval)
-        draws = self._noise.standard_normal((2, 2, 3))
-        self._bias = self._bias + walk * root * draws[:, 0]
-        reading: Array = self.data.sensordata[self._imu].reshape(2, 3) + self._bias + noise / root * draws[:, 1]
-        return {"gyro": reading[0], "accel": reading[1]}
+        draws = self._noise.normal(size=(2, 2, 3))
+        self._bias = self._bias + walk * root * draws[:, 0].ravel()
+        reading: Array = self.data.sensordata[self._imu] + self._bias + noise / root * draws[:, 1].ravel()
+        return {"gyro": reading[:3], "accel": reading[3:]}

@@ -142,9 +142,7 @@ class World:
         self.body, self.site = m.body(description.base.body).id, self._tool(description.arm.tool)
         self._bind_frames()
         self._root, self._mount = self._free_root()
-        self._joints = tuple(joints)
-        self._joint_places = np.array([m.joint(name).qposadr[0] for name in joints], dtype=int)
-        self._joint_dofs = np.array([m.joint(name).dofadr[0] for name in joints], dtype=int)
+        self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
         self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
 
@@ -336,11 +334,13 @@ class World:
 
     def joints(self) -> dict[str, float]:
         """True joint angles [rad] by name."""
-        return dict(zip(self._joints, self.data.qpos[self._joint_places].tolist(), strict=True))
+        positions = self.data.qpos.tolist()
+        return {name: positions[q] for name, (q, _) in self._joints.items()}
 
     def joint_speeds(self) -> dict[str, float]:
         """True joint speeds [rad/s] by name."""
-        return dict(zip(self._joints, self.data.qvel[self._joint_dofs].tolist(), strict=True))
+        speeds = self.data.qvel.tolist()
+        return {name: speeds[v] for name, (_, v) in self._joints.items()}
 
 
 class WorldAccess:
