@@ -141,7 +141,8 @@ def at_rest(plant: SwervePlant, seconds: float) -> None:
 
 
 def center_of_pressure(plant: SwervePlant) -> np.ndarray:
-    feet, forces = plant.data.xpos[plant._wheel_bodies][:, :2], plant.truth().wheel_force
+    wheels = [plant.model.body(plant.model.joint(m.wheel).bodyid[0]).id for m in plant.base.modules]
+    feet, forces = plant.data.xpos[wheels][:, :2], plant.truth().wheel_force
     return forces @ feet / forces.sum()
 
 

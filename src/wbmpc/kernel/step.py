@@ -57,6 +57,7 @@ class Step:
                 raise unknown_name("argument", name, arguments)
         _check_apart(f.signature.symbol, self._memory)
         self._free = [a for a in arguments if a not in self._memory and a not in self._constants]
+        self._count, self._interpreted = len(self._free), self._backend == "interpreted"
         self._given: list[Any] = [self._memory.get(a, self._constants.get(a)) for a in arguments]
         if self._backend == "compiled":
             self._fill_table()
@@ -93,6 +94,7 @@ class Step:
         self._write = writers[0] if len(runs) == 1 else partial(_write, parts)
         self._read = partial(_packed(kinds).unpack_from, view, 8 * first)
         self._table, self._run, self._result = table, partial(f.by_table, table.ctypes.data), result
+        self._several = isinstance(result, tuple)
 
     @property
     def call(self) -> Callable[[], None]:
@@ -106,9 +108,9 @@ class Step:
         return call
 
     def __call__(self, *numbers: float) -> Any:
-        if len(numbers) != len(self._free):
+        if len(numbers) != self._count:
             raise KernelError(f"{self._function.signature.symbol}: needs {len(self._free)} numbers, got {len(numbers)}")
-        if self._backend == "interpreted":
+        if self._interpreted:
             for place, number in zip(self._places, numbers, strict=True):
                 self._given[place] = number
             return self._function.interpreted(*self._function.signature.structured(self._given))
@@ -118,7 +120,7 @@ class Step:
         if self._result == NONE:
             return None
         found = self._read()
-        return found if isinstance(self._result, tuple) else found[0]
+        return found if self._several else found[0]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Step:
         """Arrays move with a copy of what owns them: addresses are taken again."""

@@ -6,7 +6,7 @@ import ctypes
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -208,6 +208,12 @@ class Policy:
         return {name: value for name, value in self.__dict__.items() if name not in ("_code", "_nodes")}
 
 
+@cache
+def _free(nu: int) -> np.ndarray:
+    """Bounds of nu inputs that have none."""
+    return np.concatenate([np.full(nu, -np.inf), np.full(nu, np.inf)])
+
+
 class _Code:
     """The compiled functions of :mod:`wbmpc.solver.feedback` with the addresses of a policy's arrays: a call costs microseconds."""
 
@@ -219,9 +225,8 @@ class _Code:
         rows = 0 if limits is None else limits.offset.size
         active = np.ones((n, max(rows, 1))) if policy.active is None else policy.active
         moves = policy.moving is not None
-        free = np.concatenate([np.full(nu, -np.inf), np.full(nu, np.inf)])
         arrays = (
-            policy.times, policy.x, policy.u, policy.gain, free if limits is None else limits.table, active,
+            policy.times, policy.x, policy.u, policy.gain, _free(nu) if limits is None else limits.table, active,
             policy.moving if moves else np.zeros(1),
         )  # fmt: skip
         self._kept = [np.ascontiguousarray(a, float) for a in arrays]

@@ -7,14 +7,15 @@ indices, compression and files are its work, and the bytes are the same.
 from __future__ import annotations
 
 import struct
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import MessageIndex
 from mcap.writer import Writer
 
-from wbmpc.recording.template import Template
+from wbmpc.recording.template import Topics
 
 #: A message's record up to its data: opcode, length, channel, sequence, log time, publish time.
 _HEAD = struct.Struct("<BQHIQQ")
@@ -22,6 +23,19 @@ _INSIDE = _HEAD.size - 9  # the record's own length does not count opcode and le
 _OPCODE = int(Opcode.MESSAGE)
 #: What is used of the library's writer. Where it has them no more, its own way is taken.
 _PARTS = ("_Writer__chunk_builder", "_Writer__statistics", "_Writer__maybe_finalize_chunk")
+
+
+#: Channel, sequence, log time, publish time, bytes.
+_Message = tuple[int, int, int, int, bytes]
+
+
+class _Row(NamedTuple):
+    """Messages of one time, each on its channel."""
+
+    channels: Sequence[int]
+    time: int
+    topics: Topics
+    numbers: np.ndarray
 
 
 class _Index(MessageIndex):
@@ -47,8 +61,8 @@ class QuickWriter(Writer):
         self._chunk, self._statistics, self._finalize = parts
         self._quick, self._size = all(parts), int(options.get("chunk_size", 1024 * 1024))
         self.chunks: int | None = 0 if self._quick else None
-        #: channel, sequence, log time, publish time, and a message: its bytes, or a template and its numbers
-        self._kept: list[tuple[int, int, int, int, bytes | np.ndarray, Template | None]] = []
+        #: messages (channel, sequence, log time, publish time, bytes), or what is made into several of one time: the row of their numbers
+        self._kept: list[_Message | _Row] = []
         self._filled = 0  # bytes of the chunk, with those of the messages that are kept
 
     def add_message(
@@ -58,19 +72,20 @@ class QuickWriter(Writer):
         if not self._quick:
             super().add_message(channel_id, log_time, data, publish_time, sequence)
             return
-        self._keep((channel_id, sequence, log_time, publish_time, data, None), len(data))
+        self._keep((channel_id, sequence, log_time, publish_time, data), _HEAD.size + len(data))
 
-    def add_numbers(self, channel: int, time: int, template: Template, values: np.ndarray) -> None:
-        """Append a message of a ``template`` at a ``time`` [ns] with its float64. Its bytes are made with those of others like it."""
-        numbers = template.numbers(values)
+    def add_row(self, channels: Sequence[int], time: int, topics: Topics, row: np.ndarray) -> None:
+        """Append the messages of ``topics``, each on its channel, at a ``time`` [ns], with the ``row`` of their numbers. Their bytes are made with
+        those of others like them."""
         if self._quick:
-            self._keep((channel, 0, time, time, numbers, template), template.length)
-        else:
-            super().add_message(channel, time, template.fill([time], [numbers])[0], time)
+            self._keep(_Row(channels, time, topics, row), _HEAD.size * len(channels) + topics.length)
+            return
+        for channel, (data,) in zip(channels, topics.fill([time], [row]), strict=True):
+            super().add_message(channel, time, data, time)
 
-    def _keep(self, message: tuple[int, int, int, int, Any, Template | None], length: int) -> None:
-        self._kept.append(message)
-        self._filled += _HEAD.size + length
+    def _keep(self, kept: _Message | _Row, length: int) -> None:
+        self._kept.append(kept)
+        self._filled += length
         if self._filled > self._size:
             self._pack()
             self._finalize()
@@ -78,11 +93,12 @@ class QuickWriter(Writer):
 
     def _pack(self) -> None:
         """The messages that are kept go into the chunk."""
-        kept, chunk, seen = self._kept, self._chunk, self._statistics
-        if not kept:
+        chunk, seen = self._chunk, self._statistics
+        if not self._kept:
             return
+        messages = self._messages()
         indices, counts, parts, at = chunk.message_indices, seen.channel_message_counts, list[bytes](), chunk.count
-        for (channel, sequence, logged, published, *_), data in zip(kept, self._encoded(), strict=True):
+        for channel, sequence, logged, published, data in messages:
             size = len(data)
             index = indices.get(channel)
             if index is None:
@@ -92,27 +108,30 @@ class QuickWriter(Writer):
             parts += (_HEAD.pack(_OPCODE, _INSIDE + size, channel, sequence, logged, published), data)
             at += _HEAD.size + size
         chunk.record_writer.write(b"".join(parts))
-        first, last = min(message[2] for message in kept), max(message[2] for message in kept)
+        first, last = min(message[2] for message in messages), max(message[2] for message in messages)
         chunk.message_start_time = min(chunk.message_start_time, first) if chunk.num_messages else first
         seen.message_start_time = min(seen.message_start_time, first) if seen.message_count else first
         chunk.message_end_time = max(chunk.message_end_time, last)
         seen.message_end_time = max(seen.message_end_time, last)
-        chunk.num_messages += len(kept)
-        seen.message_count += len(kept)
-        kept.clear()
+        chunk.num_messages += len(messages)
+        seen.message_count += len(messages)
+        self._kept.clear()
 
-    def _encoded(self) -> list[Any]:
-        """The bytes of the messages that are kept."""
-        alike: dict[Template, list[int]] = {}
-        for i, message in enumerate(self._kept):
-            if message[5] is not None:
-                alike.setdefault(message[5], []).append(i)
-        data: list[Any] = [message[4] for message in self._kept]
-        for template, places in alike.items():
-            filled = template.fill([self._kept[i][2] for i in places], [data[i] for i in places])
-            for i, one in zip(places, filled, strict=True):
-                data[i] = one
-        return data
+    def _messages(self) -> list[_Message]:
+        """All that is kept, in its order."""
+        alike: dict[Topics, list[int]] = {}
+        made: list[list[_Message]] = []
+        for i, kept in enumerate(self._kept):
+            made.append([] if isinstance(kept, _Row) else [kept])
+            if isinstance(kept, _Row):
+                alike.setdefault(kept.topics, []).append(i)
+        for topics, places in alike.items():
+            rows: list[Any] = [self._kept[i] for i in places]
+            times = [row.time for row in rows]
+            filled = topics.fill(times, [row.numbers for row in rows])
+            for k, (i, row, t) in enumerate(zip(places, rows, times, strict=True)):
+                made[i] = [(channel, 0, t, t, part[k]) for channel, part in zip(row.channels, filled, strict=True)]
+        return [message for several in made for message in several]
 
     def _behind(self) -> None:
         """What comes next into the chunk stands behind the messages that there are."""

@@ -21,7 +21,7 @@ from wbmpc.plots.motion import Motion, picture_points
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.quantities import JOINT_UNITS
-from wbmpc.recording.template import Template
+from wbmpc.recording.template import Template, Topics
 from wbmpc.recording.writer import LIMIT, McapFile, stamp
 from wbmpc.robots.frames import MAP, ODOM, fixed_frames
 from wbmpc.robots.urdf import to_urdf
@@ -54,6 +54,9 @@ class Recorder:
         self.motion = Motion()
         self._start = self._last = 0.0
         self._templates: dict[Any, Template] = {}
+        self._topics: dict[Any, Topics] = {}
+        #: messages of this tick: topic, type, key, numbers and what makes one like it
+        self._due: list[tuple[str, str, Any, Array, Callable[[], Message]]] = []
         self._scene: Scene | None = None
 
     # ------------------------------------------------------------------ the loop
@@ -85,6 +88,8 @@ class Recorder:
         every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
         self._templates.clear()
+        self._topics.clear()
+        self._due.clear()
         if self.file is not None:
             self._start = self._last = self._last + PAUSE
             self._begin_loop(scene)
@@ -134,6 +139,7 @@ class Recorder:
             paths = self._plans(plans)
             if self.motion.due(t):
                 self._picture(t, moment, paths)
+        self._write()
 
     def end(self, ending: Ending) -> None:
         """Note how the loop ended; more loops may follow."""
@@ -152,15 +158,33 @@ class Recorder:
     # ------------------------------------------------------------------ parts
     def _put(self, topic: str, kind: str, message: Message, latched: bool = False) -> None:
         assert self.file is not None
+        self._write()
         self.file.put(topic, kind, self._last, message, latched=latched)
 
     def _fill(self, topic: str, kind: str, key: Any, values: Array, make: Callable[[], Message]) -> None:
-        """Write a message of which only time and float64 change while ``key`` is the same; ``make``: one like it."""
+        """A message of this tick, of which only time and float64 change while ``key`` is the same; ``make``: one like it."""
+        self._due.append((topic, kind, key, values, make))
+
+    def _write(self) -> None:
+        """The messages of this tick that are not written yet, as one row: one by one they take as long as all else of a recording."""
+        if not self._due:
+            return
         assert self.file is not None
+        due, self._due = self._due, []
+        alike = tuple([(topic, key) for topic, _, key, _, _ in due])
+        topics = self._topics.get(alike)
+        if topics is None:
+            topics = Topics(
+                [(topic, kind, self._template(topic, kind, key, make)) for topic, kind, key, _, make in due]
+            )
+            self._topics[alike] = topics
+        self.file.put_row(self._last, topics, topics.row([values for _, _, _, values, _ in due]))
+
+    def _template(self, topic: str, kind: str, key: Any, make: Callable[[], Message]) -> Template:
         template = self._templates.get((topic, key))
         if template is None:
             template = self._templates[topic, key] = Template(kind, make())
-        self.file.put_numbers(topic, kind, self._last, template, values)
+        return template
 
     def _header(self, frame: str) -> dict[str, Any]:
         return {"stamp": stamp(self._last), "frame_id": frame}

@@ -30,18 +30,13 @@ class Template:
         floats: list[int] = []
         _places(kind, message, 0, stamps, floats)
         seconds = np.array(stamps, int) // 4
-        self._stamped, self._size = len(stamps) > 0, len(floats)
+        #: how many numbers a message has
+        self._stamped, self.size = len(stamps) > 0, len(floats)
         self._seconds, self._nanoseconds = _slice(seconds), _slice(seconds + 1)
         self._floats = _slice(np.array(floats, int) // 8)
 
-    def numbers(self, values: np.ndarray) -> np.ndarray:
-        """A copy of the numbers of a message, in their order; raises :class:`InputError` if there are more or fewer than places."""
-        if values.size != self._size:
-            raise InputError(f"message: needs {self._size} numbers, got {values.size}")
-        return values.flatten()
-
-    def fill(self, times: Sequence[int], numbers: Sequence[np.ndarray]) -> list[bytes]:
-        """Messages at ``times`` [ns] with the ``numbers`` of each."""
+    def fill(self, times: Sequence[int], numbers: np.ndarray) -> list[bytes]:
+        """Messages at ``times`` (n) [ns] with the ``numbers`` (n, size) of each."""
         rows = np.tile(self._body, (len(times), 1))
         if self._stamped:
             seconds, nanoseconds = np.divmod(np.array(times), 1_000_000_000)
@@ -50,6 +45,30 @@ class Template:
         rows.view("<f8")[:, self._floats] = numbers
         whole, width, length, header = rows.tobytes(), rows.shape[1], self.length - _HEADER, self._header
         return [header + whole[at : at + length] for at in range(0, len(whole), width)]
+
+
+class Topics:
+    """Messages of one time that are written together: ``parts``, topic, type and template of each in order. Their numbers are one row."""
+
+    def __init__(self, parts: Sequence[tuple[str, str, Template]]) -> None:
+        self.parts = list(parts)
+        self._sizes = [template.size for _, _, template in parts]
+        #: bytes of all of them
+        self.length = sum(template.length for _, _, template in parts)
+        ends = np.cumsum(self._sizes).tolist()
+        self._places = [slice(end - size, end) for end, size in zip(ends, self._sizes, strict=True)]
+
+    def row(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """A copy of the numbers of all messages; raises :class:`InputError` where one has more or fewer than places."""
+        sizes = [part.size for part in values]
+        if sizes != self._sizes:
+            raise InputError(f"messages: need {self._sizes} numbers, got {sizes}")
+        return np.concatenate(values, axis=None)
+
+    def fill(self, times: Sequence[int], rows: Sequence[np.ndarray]) -> list[list[bytes]]:
+        """By topic the messages at ``times`` (n) [ns] with n ``rows``."""
+        numbers = np.array(rows)
+        return [part.fill(times, numbers[:, at]) for (_, _, part), at in zip(self.parts, self._places, strict=True)]
 
 
 def _slice(index: np.ndarray) -> slice | np.ndarray:

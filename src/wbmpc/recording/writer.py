@@ -14,7 +14,7 @@ from mcap.writer import CompressionType
 from wbmpc import __version__
 from wbmpc.recording.messages import Message, encode, full_name, schema
 from wbmpc.recording.quick_writer import QuickWriter
-from wbmpc.recording.template import Template
+from wbmpc.recording.template import Topics
 
 #: Bytes of a chunk before compression: what a killed run loses at most.
 CHUNK = 128 * 1024
@@ -63,6 +63,7 @@ class McapFile:
         self._time, self._now = -math.inf, 0  # of the last message [s], and in nanoseconds
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
+        self._together: dict[Topics, list[int]] = {}
         self._end = self._half  # from which size on the next file begins
 
     def _rotate(self, t: float) -> None:
@@ -99,24 +100,30 @@ class McapFile:
                 return
         self._append(topic, kind, t, data, latched)
 
-    def put_numbers(self, topic: str, kind: str, t: float, template: Template, values: np.ndarray) -> None:
-        """The same of a message of a ``template``, with its float64."""
+    def put_row(self, t: float, topics: Topics, row: np.ndarray) -> None:
+        """Append the messages of ``topics`` at time ``t`` [s], with the ``row`` of their numbers."""
         if self._size > self._end:
             self._rotate(t)
-        self._append(topic, kind, t, values, False, template)
+        channels = self._together.get(topics)
+        if channels is None:
+            channels = [self._channel(topic, kind, False) for topic, kind, _ in topics.parts]
+            self._together[topics] = channels
+        self._writer.add_row(channels, self._at(t), topics, row)
+        self._flush_chunk()
 
-    def _append(
-        self, topic: str, kind: str, t: float, data: Any, latched: bool, template: Template | None = None
-    ) -> None:
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._channels[topic] = self._channel(topic, kind, latched)
+    def _append(self, topic: str, kind: str, t: float, data: bytes, latched: bool) -> None:
+        now = self._at(t)
+        self._writer.add_message(self._channel(topic, kind, latched), now, data, now)
+        self._flush_chunk()
+
+    def _at(self, t: float) -> int:
+        """A time [s] in nanoseconds: messages come with the same one in a row."""
         if t != self._time:
             self._time, self._now = t, nanoseconds(t)
-        if template is None:
-            self._writer.add_message(channel, self._now, data, self._now)
-        else:
-            self._writer.add_numbers(channel, self._now, template, data)
+        return self._now
+
+    def _flush_chunk(self) -> None:
+        """A chunk that is full goes to the system."""
         if self._chunks is None or self._writer.chunks != self._chunks:
             self._chunks = self._writer.chunks
             self._flush()
@@ -127,6 +134,13 @@ class McapFile:
         self._size = self._file.tell()
 
     def _channel(self, topic: str, kind: str, latched: bool) -> int:
+        """That of a topic, which comes into being with its first message."""
+        known = self._channels.get(topic)
+        if known is None:
+            known = self._channels[topic] = self._register(topic, kind, latched)
+        return known
+
+    def _register(self, topic: str, kind: str, latched: bool) -> int:
         if kind not in self._schemas:
             text = schema(kind).encode()
             self._schemas[kind] = self._writer.register_schema(name=full_name(kind), encoding="ros2msg", data=text)

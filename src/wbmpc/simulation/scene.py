@@ -148,6 +148,7 @@ class SceneReader:
         places = {b.name: k for k, b in enumerate(self.scene.bodies)}
         self.parents = [places.get(b.parent, -1) for b in self.scene.bodies]  # -1: the world
         self.moving = [i for i, b in enumerate(self.scene.bodies) if b.moves and i != self.scene.index]
+        self._positions, self._speeds = model.jnt_qposadr[self.joints], model.jnt_dofadr[self.joints]
         self._body_of = model.geom_bodyid.tolist()
         self.joint_names = [model.joint(i).name or f"joint_{i}" for i in self.joints]
 
@@ -228,9 +229,10 @@ class SceneReader:
 
     def joint_states(self, data: mujoco.MjData) -> Array:
         """Position [rad or m], velocity and drive force [N m or N] (joints, 3) of all hinges and slides."""
-        m = self.model
-        q, v = m.jnt_qposadr[self.joints], m.jnt_dofadr[self.joints]
-        return np.stack([data.qpos[q], data.qvel[v], data.qfrc_actuator[v]], axis=1)
+        states = np.empty((len(self.joints), 3))
+        states[:, 0], states[:, 1] = data.qpos[self._positions], data.qvel[self._speeds]
+        states[:, 2] = data.qfrc_actuator[self._speeds]
+        return states
 
     def contacts(self, data: mujoco.MjData) -> list[Contact]:
         """Sums of the contact forces by body, in the present state under the last command, at their center of pressure.

@@ -289,10 +289,10 @@ class Solver(SolverResults):
         """State (nx) after h [s] from x (nx) under the input u (nu), with the solver's integrator and the present parameters; after k times h
         under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes or a step below 0, :class:`NotFinite`."""
         x, u, h = simulation_arguments(self.ocp.dynamics, x, u, h)
-        rows, end = np.atleast_2d(u), x.copy()
+        rows, end = u if u.ndim == 2 else u[None], x
         for k in range(0, len(rows), SIMULATED):
             end = self._advance(end, rows[k : k + SIMULATED], h)
-        return end
+        return x.copy() if end is x else end
 
     def _advance(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """One call: inputs (k, nu), k up to :data:`SIMULATED`. States beyond all bounds are passed on as they are."""

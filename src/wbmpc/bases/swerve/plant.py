@@ -6,7 +6,6 @@ settings. The rest is of :mod:`wbmpc.simulation.wheeled`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import mujoco
@@ -18,7 +17,7 @@ from wbmpc.bases.swerve.brakes import BRAKE_FORCE, BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.perturbation import check_perturbation
-from wbmpc.bases.swerve.slip_step import contact_slip
+from wbmpc.bases.swerve.slip_step import contact_slips
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.kernel.step import bind
@@ -165,15 +164,22 @@ class SwervePlant(WheeledPlant):
         self._control = {g: span(np.array([m.actuator(n).id for n in names[g]], dtype=int)) for g in driven}
         rated = self._rated()
         self._drive_speed = {g: np.array([rated[n] for n in names[g]]) for g in driven}
-        self._wheel_geoms = [m.geom(f"contact_{n}").id for n in names["wheel"]]
-        self._wheel_of = {geom: i for i, geom in enumerate(self._wheel_geoms)}
-        self._velocity, self._at, self._normal = np.zeros(6), np.zeros(3), np.zeros(3)
-        self._wheel_bodies = [int(m.geom_bodyid[geom]) for geom in self._wheel_geoms]
-        own = {"velocity": self._velocity, "at": self._at, "normal": self._normal}
-        places = [{"center": self.data.xpos[b], "axes": self.data.xmat[b]} for b in self._wheel_bodies]
-        self._contact_slip = [bind(contact_slip, own | place) for place in places]
+        self._bind_slip(16)
         for dof in self._v["leg"]:
             m.dof_solref[dof], m.dof_solimp[dof] = _BRAKE_SOLREF, _BRAKE_SOLIMP
+
+    def _bind_slip(self, room: int) -> None:
+        """The step that reads contacts, of which there is ``room`` for so many."""
+        m, d = self.model, self.data
+        geoms = np.array([m.geom(f"contact_{n}").id for n in self._names["wheel"]], dtype=np.int64)
+        bodies = m.geom_bodyid[geoms].astype(np.int64)
+        wheels = {"geoms": geoms, "bodies": bodies, "roots": m.body_rootid[bodies].astype(np.int64)}
+        own = {
+            "touching": np.zeros((room, 2), dtype=np.int64), "distance": np.zeros(room), "at": np.zeros((room, 3)),
+            "frame": np.zeros((room, 9)), "slip": np.zeros((len(geoms), 2)),
+        }  # fmt: skip
+        self._touching, read = own, {"cvel": d.cvel, "subtree_com": d.subtree_com, "xmat": d.xmat}
+        self._contact_slips = bind(contact_slips, wheels | read | own, n=len(geoms))
 
     def _rated(self) -> dict[str, float]:
         """Speeds [rad/s] up to which the drives give their whole torque."""
@@ -313,14 +319,11 @@ class SwervePlant(WheeledPlant):
 
         Of several contacts of one wheel the deepest counts; a wheel in the air has none.
         """
-        contacts, n = self.data.contact, len(self._wheel_geoms)
-        slip, depth = np.zeros((n, 2)), [math.inf] * n
-        rows = (part.tolist() for part in (contacts.geom, contacts.dist, contacts.pos, contacts.frame))
-        for geoms, distance, at, frame in zip(*rows, strict=True):
-            i = self._wheel_of.get(geoms[0], self._wheel_of.get(geoms[1]))
-            if i is not None and distance < depth[i]:
-                depth[i] = distance
-                self._at[:], self._normal[:], body = at, frame[:3], self._wheel_bodies[i]
-                mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_XBODY, body, self._velocity, 0)
-                slip[i] = self._contact_slip[i]()
-        return slip
+        contacts, count = self.data.contact, self.data.ncon
+        if count > len(self._touching["distance"]):
+            self._bind_slip(2 * count)
+        a = self._touching
+        a["touching"][:count], a["distance"][:count] = contacts.geom, contacts.dist
+        a["at"][:count], a["frame"][:count] = contacts.pos, contacts.frame
+        self._contact_slips(count)
+        return a["slip"].copy()

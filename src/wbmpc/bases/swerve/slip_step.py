@@ -2,30 +2,64 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from wbmpc.bases.swerve.compilation import step
-from wbmpc.kernel.ir import Floats
+from wbmpc.bases.swerve.compilation import compiled, step
+from wbmpc.kernel.ir import Floats, Integers
+
+
+class Wheels(NamedTuple):
+    """Wheels in a simulated world, as MuJoCo has it; their contacts are copied."""
+
+    geoms: Integers  # (n), shapes of the wheels
+    bodies: Integers  # (n)
+    roots: Integers  # (n), the robot's body
+    cvel: Floats  # (bodies, 6), angular and linear velocity at the robot's center of mass, world axes
+    subtree_com: Floats  # (bodies, 3) [m]
+    xmat: Floats  # (bodies, 3, 3)
+    touching: Integers  # (count, 2), shapes of each contact
+    distance: Floats  # (count) [m]
+    at: Floats  # (count, 3) [m]
+    frame: Floats  # (count, 3, 3), the normal and two tangents
+    slip: Floats  # (n, 2) [m/s]
+
+
+@compiled
+def slip_of(w: Wheels, i: int, c: int) -> None:
+    """Velocity ``slip`` of wheel i at contact c, along the wheel and along its axle."""
+    v, m, o = 6 * w.bodies[i], 9 * w.bodies[i], 3 * w.roots[i]
+    x, y, z = (
+        w.at[3 * c] - w.subtree_com[o],
+        w.at[3 * c + 1] - w.subtree_com[o + 1],
+        w.at[3 * c + 2] - w.subtree_com[o + 2],
+    )
+    vx = w.cvel[v + 3] + (w.cvel[v + 1] * z - w.cvel[v + 2] * y)
+    vy = w.cvel[v + 4] + (w.cvel[v + 2] * x - w.cvel[v] * z)
+    vz = w.cvel[v + 5] + (w.cvel[v] * y - w.cvel[v + 1] * x)
+    nx, ny, nz = w.frame[9 * c], w.frame[9 * c + 1], w.frame[9 * c + 2]
+    # the wheel's axle is its y axis
+    ax = w.xmat[m + 4] * nz - w.xmat[m + 7] * ny
+    ay = w.xmat[m + 7] * nx - w.xmat[m + 1] * nz
+    az = w.xmat[m + 1] * ny - w.xmat[m + 4] * nx
+    length = max(np.sqrt(ax * ax + ay * ay + az * az), 1e-9)
+    ax, ay, az = ax / length, ay / length, az / length
+    w.slip[2 * i] = vx * ax + vy * ay + vz * az
+    w.slip[2 * i + 1] = vx * (ny * az - nz * ay) + vy * (nz * ax - nx * az) + vz * (nx * ay - ny * ax)
 
 
 @step
-def contact_slip(velocity: Floats, center: Floats, axes: Floats, at: Floats, normal: Floats) -> tuple[float, float]:
-    """Velocity [m/s] of a wheel's point ``at`` (3) a contact with this ``normal`` (3), along the wheel and along its axle: of a body with its
-    ``center`` (3), ``axes`` (3, 3) by rows, and ``velocity`` (6), angular and linear, all in the world's axes."""
-    x, y, z = at[0] - center[0], at[1] - center[1], at[2] - center[2]
-    vx = velocity[3] + (velocity[1] * z - velocity[2] * y)
-    vy = velocity[4] + (velocity[2] * x - velocity[0] * z)
-    vz = velocity[5] + (velocity[0] * y - velocity[1] * x)
-    # the wheel's axle is its y axis
-    ax = axes[4] * normal[2] - axes[7] * normal[1]
-    ay = axes[7] * normal[0] - axes[1] * normal[2]
-    az = axes[1] * normal[1] - axes[4] * normal[0]
-    length = max(np.sqrt(ax * ax + ay * ay + az * az), 1e-9)
-    ax, ay, az = ax / length, ay / length, az / length
-    across = vx * (normal[1] * az - normal[2] * ay)
-    across += vy * (normal[2] * ax - normal[0] * az)
-    across += vz * (normal[0] * ay - normal[1] * ax)
-    return vx * ax + vy * ay + vz * az, across
+def contact_slips(w: Wheels, n: int, count: int) -> None:
+    """``slip`` of n wheels over what each touches, by ``count`` contacts. Of several contacts of one wheel the deepest counts; a wheel in
+    the air has none."""
+    for i in range(n):
+        w.slip[2 * i], w.slip[2 * i + 1], depth = 0.0, 0.0, np.inf
+        for c in range(count):
+            own = w.touching[2 * c] == w.geoms[i] or w.touching[2 * c + 1] == w.geoms[i]
+            if own and w.distance[c] < depth:
+                depth = w.distance[c]
+                slip_of(w, i, c)
 
 
 @step

@@ -47,6 +47,6 @@ class WheelLog:
             if m.leg.size:
                 self.log.add("leg", t, m.leg)
                 self.log.add("brake", t, np.zeros(m.leg.size) if brake is None else brake)
-            self.log.add("gyro", t, np.mean(self._gyro))
+            self.log.add("gyro", t, sum(self._gyro) / len(self._gyro))
             self._gyro = []
         self._count += 1
