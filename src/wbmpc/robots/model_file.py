@@ -20,7 +20,7 @@ from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
 from wbmpc.robots.file_limits import LARGEST, LARGEST_MESH, check_size
 from wbmpc.robots.limited_program import drop_missing_files
-from wbmpc.robots.mujoco_settings import log_warnings
+from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.robots.packages import find_package, locate, package_of
 from wbmpc.robots.trial import try_model
 from wbmpc.robots.urdf_tree import check_tree

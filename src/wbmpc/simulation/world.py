@@ -14,7 +14,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
-from wbmpc.robots.mujoco_settings import log_warnings, stop_timers
+from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.simulation.contacts import GROUND, Contacts, enable
 from wbmpc.simulation.frame_step import from_base
 from wbmpc.simulation.speed_torque import SpeedTorque
@@ -131,7 +131,6 @@ class World:
         which drives give their whole torque, by actuator. Raises :class:`InputError` naming the robot's file where it cannot be
         simulated: a base without mass."""
         log_warnings()
-        stop_timers()
         enable(spec, description.home, description.model)
         self.model: mujoco.MjModel = compiled(spec, description.model)
         self.data = mujoco.MjData(self.model)

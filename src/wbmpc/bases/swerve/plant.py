@@ -326,4 +326,4 @@ class SwervePlant(WheeledPlant):
         a["touching"][:count], a["distance"][:count] = contacts.geom, contacts.dist
         a["at"][:count], a["frame"][:count] = contacts.pos, contacts.frame
         self._contact_slips(count)
-        return a["slip"].copy()
+        return np.array(a["slip"], float)
