@@ -83,7 +83,7 @@ def test_in_lockstep_every_state_has_commands_to_wait_for(control: float, trajec
     given = {"controllers": {**others, "arm_controller": arm}, "rates": {"control": control, "trajectory": trajectory}}
     node = open_node("lockstep", "dds", Network.of(private()))
     try:
-        sim = SimNode(node, robot, settings_of(robot).model_validate({"lockstep": True, **given}))
+        sim: Any = SimNode(node, robot, settings_of(robot).model_validate({"lockstep": True, **given}))
         sim.patience, missed = 0.0, list[float]()
         rates = {n: trajectory if c.takes == "trajectory" else control for n, c in sim._controllers.items()}
         sent, places = dict.fromkeys(rates, 0), [("arm", k) for k in range(6)]
