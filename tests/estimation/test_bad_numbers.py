@@ -24,6 +24,7 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
+from wbmpc.estimation.payload import ArmScale
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.studies.minniti2019.contact import ContactMonitor
@@ -33,7 +34,7 @@ from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.rocking import rockings
 
 H, NAN = 0.0025, float("nan")
-ROBOT = robot("rezero")
+ROBOT, SWERVE = robot("rezero"), robot("swerve-ur10")
 FOUR = ring(4)
 KNOWN = WheelCalibration.unknown(FOUR)
 HOME, _ = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
@@ -81,6 +82,11 @@ def payload() -> tuple[Callable[..., Any], Callable[[], Any]]:
     return estimator.update, lambda: estimator.mass
 
 
+def scale() -> tuple[Callable[..., Any], Callable[[], Any]]:
+    weighing = ArmScale(SWERVE)
+    return weighing.update, lambda: [weighing.mass, weighing.deviation]
+
+
 @cache
 def felt() -> PushEstimator:
     return PushEstimator(ROBOT, ARM, 0.3)
@@ -110,6 +116,8 @@ def lean() -> tuple[Callable[..., Any], Callable[[], Any]]:
 
 
 WHOLE, ONE = (0.1 * np.ones(10), np.zeros(3), H), np.ones(2)
+STILL = SWERVE.home[SWERVE.state["arm"]]
+WEIGHED = (0.05, STILL, np.full(6, 20.0), UP, ZERO)
 WEIGHT, SURE = ROBOT.base.numeric.tool_weight(HOME[:8]), 1e-4 * np.eye(3)
 #: Messages (one more is given before and after) and one of them made bad; the name that the error says.
 CASES = [
@@ -136,6 +144,13 @@ CASES = [
     (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], NAN * WEIGHT, H), "'force'"),
     (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], WEIGHT[:7], H), "'force' needs 8"),
     (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], WEIGHT, -5.0), "negative"),
+    (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (NAN, *WEIGHED[1:]), "'t'"),
+    (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, NAN * STILL, *WEIGHED[2:]), "'arm'"),
+    (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, STILL, NAN * STILL, UP, ZERO), "'effort'"),
+    (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, STILL, np.full(6, np.inf), UP, ZERO), "'effort'"),
+    (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, STILL, np.ones(5), UP, ZERO), "'effort' needs 6"),
+    (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, STILL, STILL, NAN * UP, ZERO), "'accel'"),
+    (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, STILL, STILL, UP, NAN * UP), "'gyro'"),
     (push, [(HOME, H), (MOVING, H)], (NAN * HOME, H), "'state'"),
     (push, [(HOME, H), (MOVING, H)], (HOME, 0.0), "interval"),
     (place, [(0.09, [0.1, 0.0, 0.0], SURE)], (0.09, [0.1, 0.0], SURE), "'pose' needs 3"),

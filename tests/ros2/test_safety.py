@@ -112,6 +112,31 @@ def test_a_driver_that_repeats_itself_is_stale(pair: Callable[..., Any], caplog:
     check_stopped(p, "s old, the limit is 0.1 s", caplog)
 
 
+def test_states_that_stand_still_under_new_stamps_stop(
+    pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A driver that has lost its encoders: the robot drove on, to nobody knows where."""
+    p = pair()
+    drive(p)
+    frozen: list[Any] = []
+    p.standin.change = lambda m: {**m, "position": (frozen or frozen.append(m["position"]) or frozen)[0]}
+    start = p.standin.time
+    assert p.until(lambda: p.control.runner.stopped), p.control.state
+    at = p.control.clock.origin + float(p.control.runner.state.split()[2])
+    assert 0.3 < at - start < 0.35
+    assert p.until(lambda: p.standin.speed == 0.0)
+    assert "the joint states on /joint_states stand still, under new stamps" in p.control.state
+
+
+def test_a_robot_at_rest_may_stand_still(pair: Callable[..., Any]) -> None:
+    p = pair()
+    p.ready()
+    p.go(0.02)
+    assert p.until(lambda: p.control.running)
+    p.run(2.0)
+    assert p.control.running and p.standin.speed < 0.2
+
+
 def test_a_stop_is_a_ramp(pair: Callable[..., Any]) -> None:
     p = pair(safety={"ramp": 1.0})
     drive(p)

@@ -94,7 +94,17 @@ def test_a_full_disk_is_one_message(tmp_path: Path) -> None:
 ROW = {"key": "a-1", "experiment": "VALLEY", "outcome": "completed"}
 
 
-@pytest.mark.parametrize("line", ["[" * 100_000, "5", "{}", '{"key": [1]}', json.dumps({**ROW, "outcome": None})])
+#: What makes a row one that no study has written.
+FOREIGN: tuple[dict[str, Any], ...] = (
+    {"outcome": None}, {"metrics": 5}, {"metrics": {"e": "x"}}, {"metrics": {"f": 1.0}}, {"about": {"e": {}}}, {"about": 5},
+    {"about": {"e": {"unit": 5}}}, {"about": {"e": {"unit": "m", "goal": "x"}}}, {"seed": "x"}, {"seed": 2**70}, {"draw": 1.5},
+    {"varied": [1]}, {"changes": 5}, {"timing": [1]}, {"timing": {"a": "x"}}, {"wall_time": "x"}, {"condition": 5},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "line", ["[" * 100_000, "5", "{}", '{"key": [1]}', *(json.dumps({**ROW, **f}) for f in FOREIGN)]
+)
 def test_a_journal_of_another_program_is_an_error(line: str, tmp_path: Path) -> None:
     (tmp_path / "journal.jsonl").write_text(line + "\n")
     with Store(tmp_path) as store, pytest.raises(InputError, match=r"journal.jsonl: "):
@@ -108,6 +118,8 @@ def test_a_journal_of_another_program_is_an_error(line: str, tmp_path: Path) -> 
         ({**{name: [text] for name, text in ROW.items()}, "key": [5]}, "column 'key' of texts is missing"),
         ({name: [text, None] for name, text in ROW.items()}, "rows that do not say of which run"),
         ({name: [text] * 1_000_001 for name, text in ROW.items()}, "has 1000001 rows; at most 1000000"),
+        ({**{name: [text] for name, text in ROW.items()}, "seed": ["x"]}, "column 'seed' is of string, not of int64"),
+        ({**{name: [text] for name, text in ROW.items()}, "metric.e": ["x"]}, "'metric.e' is of string, not of double"),
     ],
 )
 def test_a_table_of_another_program_is_an_error(columns: dict[str, Any], says: str, tmp_path: Path) -> None:
@@ -121,6 +133,17 @@ def test_a_table_of_another_program_is_an_error(columns: dict[str, Any], says: s
         for read in (store.outcomes, store.table):
             with pytest.raises(InputError, match=f"runs.parquet: .*{says}"):
                 read()
+
+
+@pytest.mark.parametrize("goals", [b"{", b"[]", b'{"a": {"e": {"goal": "x"}}}', b"\xff", b"[" * 100_000])
+def test_goals_of_another_program_are_an_error(goals: bytes, tmp_path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    rows = pyarrow.table({name: [text] for name, text in ROW.items()})
+    pyarrow.parquet.write_table(rows.replace_schema_metadata({"targets": goals}), tmp_path / "runs.parquet")
+    with Store(tmp_path) as store, pytest.raises(InputError, match=r"runs\.parquet: goals of metrics: "):
+        store.outcomes()
 
 
 @pytest.mark.parametrize("name", [".lock", "study.json", "journal.jsonl", "runs.parquet", "index.html"])

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.checks import not_negative, numbers
+from wbmpc.checks import finite, not_negative, numbers
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import Chain, constant
 from wbmpc.model.robot import RobotModel
@@ -59,7 +59,12 @@ class ArmScale:
 
     def update(self, t: float, arm: Array, effort: Array, accel: Array, gyro: Array) -> bool:
         """Take in measurements at time t [s]: positions (m) of the arm's joints, their drives' torques (m) [N m or N], acceleration (3)
-        [m/s²] and rates (3) [rad/s] of the inertial unit in axes of the base. Returns whether the mass may have changed."""
+        [m/s²] and rates (3) [rad/s] of the inertial unit in axes of the base. Without torques (0) nothing is weighed. Returns whether the
+        mass may have changed. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; nothing is taken in then."""
+        finite(_WHO, t=t)
+        m = self._weights.size
+        arm, effort = numbers(_WHO, "arm", arm, m), numbers(_WHO, "effort", effort, m if np.size(effort) else 0)
+        accel, gyro = numbers(_WHO, "accel", accel, 3), numbers(_WHO, "gyro", gyro, 3)
         if self._last is None or t < self._last[0]:
             self._last = (t, arm)
             return False

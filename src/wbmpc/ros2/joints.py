@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -20,6 +20,9 @@ _SPEED_FACTOR, _SPEED_REST = 2.0, 0.05
 _MISSED = 0.1
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
 _AGREE = 0.3
+
+#: Drives that are told to move faster than this [rad/s or m/s] turn some encoder within this time [s].
+_MOVES, _STARTS = 0.2, 0.3
 
 
 class Series(NamedTuple):
@@ -126,6 +129,23 @@ class JointReader:
             raise InputError(
                 f"joint states: '{self.names[k]}' jumped by {moved[k]:.3g} rad in {1e3 * interval:.3g} ms, faster than it can move"
             )
+
+
+class Standstill:
+    """Whether joint states say the same again and again, under new stamps, while the drives are told to move: a driver that has lost its
+    encoders goes on with what it read last, and commands lead nobody knows where."""
+
+    def __init__(self) -> None:
+        self._values, self._since = np.zeros(0), np.inf
+
+    def lasts(self, now: float, sample: JointSample, rates: Mapping[str, np.ndarray]) -> bool:
+        """Whether it has lasted too long by ``now`` [s] on any steady clock; ``rates``: commands by group [rad/s or m/s]."""
+        values = np.concatenate([*sample.groups.values()])
+        fastest = max((np.abs(rates[g]).max(initial=0.0) for g in sample.groups if g in rates), default=0.0)
+        if fastest < _MOVES or not np.array_equal(values, self._values) or now < self._since:
+            self._since = now
+        self._values = values
+        return now - self._since > _STARTS
 
 
 @dataclass(frozen=True)

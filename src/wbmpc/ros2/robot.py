@@ -20,7 +20,7 @@ from wbmpc.ros2.base_driver import HELD, BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Series, mean_of, mean_rate, read_imu
+from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Series, Standstill, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -64,13 +64,11 @@ class BusRobot:
         self._joint_source = OneSource(topics.joint_states, self._forget_joints, ambiguous)
         self._imu_source = OneSource(topics.imu, self._forget_imu, ambiguous)
         self._joints: tuple[JointSample, float] | None = None
-        self._series, self._replaced = Series(), False
+        self._series, self._replaced, self._standstill = Series(), False, Standstill()
         self._inertial: tuple[Inertial, float] | None = None
         self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
         self._read: tuple[float, Inertial] | None = None
-        self._previous: tuple[float, np.ndarray] | None = (
-            None  # the last inertial message that was read: its stamp, its gyro
-        )
+        self._previous: tuple[float, np.ndarray] | None = None  # stamp and gyro of the message that was read last
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._fresh_until = -np.inf  # stamp of the inertial unit's last message
         self._behind = np.inf  # least time [s] from a stamp to its arrival
@@ -111,9 +109,7 @@ class BusRobot:
         if previous is not None:
             self._follow_series(previous[0], sample)
         sample = replace(sample, series=self._series)
-        if (
-            self._way is not None
-        ):  # both say where the robot is, or nothing does: an estimate takes a way that stands for rest
+        if self._way is not None:  # both or neither: an estimate takes a way that stands for rest
             if not self._way_goes_on(sample.stamp, arrival):
                 return
             sample = self._way.with_way(sample)
@@ -134,9 +130,7 @@ class BusRobot:
         self._good("imu")
         with self._lock:
             again = bool(self._fresh_until == at > 0.0)  # a driver that hangs repeats itself
-            if (
-                at < self._fresh_until - _BACK
-            ):  # what waits is of another clock, and would wait until this one is as late
+            if at < self._fresh_until - _BACK:  # what waits is of another clock, and would wait as long
                 self._fresh.clear()
             self._fresh_until = at
             if again and self._inertial is not None and not isinstance(self.clock, BusClock):
@@ -264,7 +258,7 @@ class BusRobot:
 
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""
-        self._wrong, self._stopping, self._armed, self.sent = {}, None, True, 0
+        self._wrong, self._stopping, self._armed, self.sent, self._standstill = {}, None, True, 0, Standstill()
         for source in (self._joint_source, self._imu_source, self._way_source):
             source.settle()
         self.commanded = self.adapter.rest()
@@ -287,6 +281,10 @@ class BusRobot:
         if joints is None:
             raise SafeStop(f"no joint states on {self.settings.topics.joint_states}")
         sample, arrival = joints
+        told = self._armed and not self.adapter.must_keep_running  # whose monitor of encoders says more
+        if told and self._standstill.lasts(self.clock.now(), sample, self.commanded):
+            topic = self.settings.topics.joint_states
+            raise SafeStop(f"the joint states on {topic} stand still, under new stamps, while the drives are to move")
         self._waiting.clear()
         imu = self._averaged(sample.stamp)
         if imu is not None and self._armed:

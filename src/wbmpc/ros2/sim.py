@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -32,8 +33,8 @@ COMMAND_TIMEOUT = 0.1
 #: In lockstep: how long an answer is waited for once the robot was reported to rest (a controller that has stopped it goes silent),
 #: and after what time the question is asked again [s of the wall].
 RESTED, AGAIN = 3.0, 0.05
-#: A trajectory answers for so long [s].
-AGAIN_LED = 0.2
+#: A trajectory answers for so many periods of those that are sent.
+AGAIN_LED = 4.0
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
 BEGIN = 1.0
 #: Physics that is later than this [s] lets the time go, and counts it.
@@ -43,7 +44,7 @@ TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/e
 
 
 class SimNode:
-    """A plant on a bus, at ``rate`` [Hz].
+    """A plant on a bus, at ``rate`` [Hz], in lockstep at most at that of the controller: who ticks more rarely answers not every state.
 
     In lockstep (as the settings say), after the first commands, a period is simulated only when all commands to its beginning
     have come (``patience`` [s] of the wall: as long as they are waited for), so that nothing depends on the machine's speed; else
@@ -67,7 +68,8 @@ class SimNode:
         self._limit = RateLimit()
         self.side = plant_of(robot, perturbation, seed)
         self.plant = self.side.plant
-        self.steps = max(round(1.0 / rate / self.plant.timestep), 1)
+        period = max(1.0 / rate, 1.0 / settings.rates.control if settings.lockstep else 0.0)
+        self.steps = max(math.ceil(period / self.plant.timestep - 1e-6), 1)
         self.period = self.steps * self.plant.timestep
         self.lockstep, self.factor, self.behind, self.ticks = settings.lockstep, factor, 0, 0
         self.patience = settings.patience
@@ -235,7 +237,7 @@ class SimNode:
         rest = self.side.rest()
         rests = all(np.array_equal(self._groups[g], v) for g, v in rest.items())
         patience = min(RESTED, self.patience) if rests else self.patience
-        recent = lambda n: self.time - self._heard[n] < AGAIN_LED
+        recent = lambda n: self.time - self._heard[n] < AGAIN_LED / self.settings.rates.trajectory
         led = [n for n, c in self._controllers.items() if c.takes == "trajectory"]
         answered = lambda: all(recent(n) if n in led else self._count[n] > previous[n] for n in previous)
         while not answered() and time.monotonic() - begin < patience:

@@ -19,6 +19,7 @@ from wbmpc.errors import InputError, NotWritten
 from wbmpc.input_file import read_file
 from wbmpc.output_file import whole_file
 from wbmpc.study.files import ABOUT, BEST, DATABASE, JOURNAL, LOCK, PAGE, PARTS, ROWS, STATISTICS, TRIALS
+from wbmpc.study.rows import check_rows, check_targets
 from wbmpc.study.work import ERROR, LOST
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ class Store:
             rows = [json.loads(line) for line in read_file(self._journal, LARGEST).decode("utf-8").splitlines()]
         except (ValueError, RecursionError) as error:
             raise InputError(f"{self._journal}: this is no journal of a study ({error})") from error
-        _check(self._journal, rows)
+        check_rows(self._journal, rows)
         return rows
 
     def _make_part(self) -> None:
@@ -198,16 +199,9 @@ class Store:
         return _read(self.folder / ROWS, columns)
 
 
-def _check(path: Path, rows: list[Any]) -> None:
-    """Raise :class:`InputError` unless each row of a journal is a mapping and says of which run it is."""
-    for number, row in enumerate(rows, start=1):
-        for name in _OF_RUN:
-            if not isinstance(row, dict) or not isinstance(row.get(name, "" if name == "experiment" else None), str):
-                raise InputError(f"{path}: row {number}: '{name}' must be a text; this was not written by a study")
-
-
 def _check_table(path: Path) -> None:
     """Raise :class:`InputError` for a Parquet file of other columns than a study's, or of too many rows: before they are unpacked."""
+    import pyarrow
     import pyarrow.types as types
 
     about = parquet().read_metadata(path)
@@ -217,6 +211,14 @@ def _check_table(path: Path) -> None:
     for name in _OF_RUN:
         if name not in schema.names or not types.is_string(schema.field(name).type):
             raise InputError(f"{path}: column '{name}' of texts is missing; this was not written by a study")
+    if len(set(schema.names)) < len(schema.names):
+        raise InputError(f"{path}: has a column twice; this was not written by a study")
+    kinds = {field.name: field.type for field in table_of([]).schema}
+    for field in schema:
+        kind = kinds.get(field.name, pyarrow.float64() if field.name.startswith("metric.") else field.type)
+        if field.type != kind:
+            raise InputError(f"{path}: column '{field.name}' is of {field.type}, not of {kind}; no study wrote this")
+    check_targets(path, (schema.metadata or {}).get(TARGETS.encode(), b"{}"))
 
 
 def _read(path: Path, columns: list[str] | None) -> pyarrow.Table:
