@@ -21,7 +21,7 @@ _MISSED = 0.1
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
 _AGREE = 0.3
 
-#: Drives that are told to move faster than this [rad/s or m/s] turn some encoder within this time [s].
+#: Drives with commands above this [rad/s or m/s] turn some encoder within this time [s].
 _MOVES, _STARTS = 0.2, 0.3
 
 
@@ -132,8 +132,8 @@ class JointReader:
 
 
 class Standstill:
-    """Whether joint states say the same again and again, under new stamps, while the drives are told to move: a driver that has lost its
-    encoders goes on with what it read last, and commands lead nobody knows where."""
+    """Whether joint states do not change, under new stamps, while drives have commands to move: a driver that has lost its encoders
+    repeats what it read last, and where commands lead is unknown."""
 
     def __init__(self) -> None:
         self._values, self._since = np.zeros(0), np.inf
