@@ -14,6 +14,7 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import WbmpcError
 from wbmpc.obstacles.solids import Solid, along, sphere
 from wbmpc.robots import load_description
+from wbmpc.simulation import render
 from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.render import Camera, Renderer, simplified
 from wbmpc.simulation.scene import Body, Scene, Shape
@@ -39,6 +40,24 @@ def test_a_picture_shows_the_robot(name, kind):
     assert np.array_equal(still, again)
     assert 500 < np.any(still != empty, axis=2).sum() < 0.9 * 320 * 180
     assert np.any(still != line)
+
+
+def test_the_sky_is_left_out_only_where_the_floor_hides_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: the picture with the sky. Elevations [rad] of a camera that sees the horizon, just none of it, and none at all."""
+    plant, field = SwervePlant(load_description("swerve-ur10")), 0.6
+    cameras = [Camera(elevation=e, field=field) for e in (0.0, -0.5 * field, -0.5 * field - 0.06, -1.0)]
+    pictures = []
+    for horizon in (render._HORIZON, -np.inf, np.inf):  # as it is; the sky is always drawn; it is never drawn
+        monkeypatch.setattr(render, "_HORIZON", horizon)
+        try:
+            renderer = Renderer(plant, 320, 180, shadows="none", samples=0)
+        except WbmpcError as error:
+            pytest.skip(str(error))
+        with renderer:
+            pictures.append([renderer.frame(camera) for camera in cameras])
+    for own, truth in zip(*pictures[:2], strict=True):
+        np.testing.assert_array_equal(own, truth)
+    assert np.any(pictures[1][0] != pictures[2][0])
 
 
 @pytest.mark.parametrize("shadows", ["none", "floor", "all"])

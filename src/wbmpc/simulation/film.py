@@ -39,7 +39,6 @@ class SceneModel:
         for k, shape in enumerate(scene.shapes):
             if shape.kind in _KINDS:
                 _add(spec, bodies[shape.body], k, shape)
-        spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
         # what shadows are computed for: the bodies all lie at the origin when the model is made
         spec.stat.extent, spec.stat.center = 4.0, [0.0, 0.0, 0.5]
         for part, value in (("ambient", 0.35), ("diffuse", 0.35), ("specular", 0.1)):

@@ -6,6 +6,7 @@ import importlib
 import os
 import platform
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from types import TracebackType
@@ -23,9 +24,11 @@ Color = tuple[int, int, int]
 #: Colors (0 to 255) of what is drawn over a robot: its end effector's reference, its way, predicted ways of end effector and base.
 REFERENCE, TRAIL, END_EFFECTOR, BASE = (230, 70, 30), (60, 70, 85), (30, 110, 220), (40, 160, 90)
 #: Width of lines over the height of a picture. Points of the shadow map for each row of a picture, and at most: more are not seen, and
-#: cost most of a small picture. Sides of round bodies, in small pictures (so many rows) and in others.
+#: cost most of a small picture. Sides of round bodies, in pictures of up to so many rows and in larger ones.
 _WIDTH, _SHADOW, _SHADOWS = 1.0 / 110.0, 4.0, 4096
-_SMALL, _SIDES, _MORE_SIDES = 300, (20, 10, 2), (28, 16, 4)
+_SMALL, _SIDES, _MORE_SIDES = 540, (20, 10, 2), (28, 16, 4)
+#: A camera whose picture ends so far below the horizon [rad] sees the floor alone: the sky behind it is not drawn.
+_HORIZON = -0.05
 #: Lines are drawn to such a share of a picture's height: half of their width.
 _OFF_LINE = 0.5 * _WIDTH
 #: A shadow on the floor: what brings a point (3) there along the sun's rays, nearly flat (what is flat has no normals), how high above the
@@ -77,8 +80,8 @@ class Renderer:
     ) -> None:  # fmt: skip
         self.plant, self._height, model = plant, height, plant.model
         _use_egl_without_screen()
-        model.vis.global_.offwidth = max(width, int(model.vis.global_.offwidth))
-        model.vis.global_.offheight = max(height, int(model.vis.global_.offheight))
+        # not a pixel more: without a graphics card, clearing a large buffer takes as long as drawing a small picture
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         quality = model.vis.quality
         quality.offsamples = samples
         quality.shadowsize = min(_SHADOWS, 2 ** round(np.log2(_SHADOW * height)))
@@ -89,6 +92,8 @@ class Renderer:
             self._renderer = mujoco.Renderer(model, height, width)
         except (ImportError, RuntimeError, mujoco.FatalError) as error:
             raise WbmpcError(f"no picture: OpenGL does not start ({error}); try MUJOCO_GL=egl or osmesa") from error
+        if samples == 0:
+            self._blend_no_sizes()
         flags = self._renderer.scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows == "all"
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
@@ -107,13 +112,28 @@ class Renderer:
         view.distance = camera.distance
         view.azimuth, view.elevation = np.degrees(camera.azimuth), np.degrees(camera.elevation)
         model.vis.global_.fovy = float(np.degrees(camera.field))
+        top = camera.elevation + 0.5 * camera.field
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = top > _HORIZON
         self._renderer.update_scene(data, view)
         if self._on_floor:
             self._cast_on_floor()
         seen = 2.0 * camera.distance * np.tan(0.5 * camera.field)  # height of what is seen there [m]
         for color, points in lines:
             self._draw(color, np.asarray(points, float).reshape(-1, 3), _OFF_LINE * seen)
-        return np.array(self._renderer.render(), dtype=np.uint8)
+        picture: Image = self._renderer.render()
+        return picture
+
+    def _blend_no_sizes(self) -> None:
+        """Each pixel of the floor from one size of its texture: a blend of two, as MuJoCo orders, takes longer without a graphics card and
+        is not seen in a film. Where this fails the picture is right too."""
+        from OpenGL import GL, error
+
+        context = self._renderer._mjr_context
+        with suppress(error.Error):
+            for name, cube in zip(context.texture, context.textureType, strict=True):
+                if name and not cube:
+                    GL.glBindTexture(GL.GL_TEXTURE_2D, int(name))
+                    GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST)
 
     def _cast_on_floor(self) -> None:
         """Shadows as flat bodies on the floor: MuJoCo's own draw all of the picture once more."""

@@ -41,7 +41,6 @@ def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtInte
     o.cone, o.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0
     # one robot is one island: looking for several finds the same motion and takes longer
     o.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
     spec.visual.headlight.specular = [0.1, 0.1, 0.1]

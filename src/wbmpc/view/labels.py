@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -31,24 +32,36 @@ class Labels:
         left = edge = self._height // 2
         for name, color in lines.items():
             left += _put(picture, strip(NAMES[name], self._height, color), left, edge) + edge
-        below = strip(f"{self._title}   {t:.1f} s", self._height, _INK)
-        _put(picture, below, edge, picture.shape[0] - below[1].shape[0] - edge)
+        # the title stays, so that only the time is written anew
+        left = edge
+        for text in (self._title, f"{t:.1f} s"):
+            below = strip(text, self._height, _INK)
+            left += _put(picture, below, left, picture.shape[0] - below[1].shape[0] - edge)
         return picture
 
 
 @lru_cache(maxsize=32)
 def strip(text: str, height: int, color: Color) -> tuple[Array, Array]:
-    """A text with letters of a height [pixels] on a white ground: its colors (rows, columns, 3) times its share of each pixel, and what
-    is left of the picture there (rows, columns, 1)."""
-    from PIL import Image, ImageDraw, ImageFont
+    """A text with letters of a height [pixels] on a white ground: its colors (rows, columns, 3) times its share of each pixel, and the
+    share that is left of the picture there (rows, columns, 3), both times 256 in 16 bits."""
+    from PIL import Image, ImageDraw
 
-    font = ImageFont.load_default(height)
+    font = _font(height)
     right = int(font.getbbox(text)[2])
     sheet = Image.new("L", (right + height, height * 3 // 2), 0)
     ImageDraw.Draw(sheet).text((height // 2, height // 8), text, fill=255, font=font)
     ink = np.asarray(sheet, float)[..., None] / 255.0
     share = np.maximum(ink, _GROUND)
-    return share * (ink * np.array(color) + (1.0 - ink) * 255.0), 1.0 - share
+    left_over = np.repeat(np.round(256.0 * (1.0 - share)), 3, axis=2)
+    colors = (256.0 - left_over) * (ink * np.array(color) + (1.0 - ink) * 255.0)
+    return np.round(colors).astype(np.uint16), left_over.astype(np.uint16)
+
+
+@lru_cache(maxsize=4)
+def _font(height: int) -> Any:
+    from PIL import ImageFont
+
+    return ImageFont.load_default(height)
 
 
 def _put(picture: Array, label: tuple[Array, Array], left: int, top: int) -> int:
@@ -56,5 +69,5 @@ def _put(picture: Array, label: tuple[Array, Array], left: int, top: int) -> int
     colors, left_over = label
     part = picture[max(top, 0) :, left:][: colors.shape[0], : colors.shape[1]]
     rows, columns = part.shape[:2]
-    part[:] = (colors[:rows, :columns] + left_over[:rows, :columns] * part + 0.5).astype(np.uint8)
+    part[:] = (colors[:rows, :columns] + left_over[:rows, :columns] * part) >> 8
     return int(colors.shape[1])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import closing, suppress
 from dataclasses import replace
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,9 @@ from wbmpc.view.replay import Film
 
 #: Lines of a snapshot, the last in front.
 LINES = {"reference": REFERENCE, "trail": TRAIL, "base_plan": BASE, "end_effector_plan": END_EFFECTOR}
-#: Pictures per second of clips: of a film, of pictures that move in a page.
-RATES = {".mp4": 30.0, ".gif": 12.5, ".webp": 12.5}
+#: Pictures per second of clips: of a film, of pictures that move in a page. Both divide the rate of recorded frames (50 Hz): else some
+#: pictures would be of the next frame, others of the one after it, and what moves evenly would stutter.
+RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
 #: A film has too many pictures for smooth edges, which take half of the time: its speed hides them.
 _ROUGH = (".mp4",)
 GIF_COLORS = 64
@@ -67,27 +70,27 @@ def render(
     path.open("ab").close()  # and whether it can be written, before all is drawn
     if not existed:
         path.unlink()
-    with whole_file(path) as partial:
-        _WRITERS[kind](partial, [first, *pictures])
+    with whole_file(path) as partial, closing(pictures):
+        _WRITERS[kind](partial, chain([first], pictures))
     return len(moments)
 
 
 def _pictures(
     film: Film, moments: np.ndarray, size: tuple[int, int], labels: bool = True, kind: str = ".png"
-) -> Iterator[np.ndarray]:
+) -> Generator[np.ndarray]:
     puppet = SceneModel(film.scene)
-    puppet.place(film.snapshot(float(moments[0]))["poses"])
+    puppet.place(film.picture(float(moments[0]))["poses"])
     try:
         renderer = Renderer(
             puppet, *size, shadows="floor" if kind in RATES else "all", samples=0 if kind in _ROUGH else 4
         )
     except WbmpcError as error:
         raise InputError(f"{NO_GRAPHICS} ({error})") from error
-    camera = overview([film.snapshot(t)["poses"] for t in np.linspace(moments[0], moments[-1], _LOOKS)], film.scene)
+    camera = overview([film.picture(t)["poses"] for t in np.linspace(moments[0], moments[-1], _LOOKS)], film.scene)
     drawn = Labels(size, film.recording.title) if labels else None
     with renderer:
         for t in moments:
-            s = film.snapshot(float(t))
+            s = film.picture(float(t))
             puppet.place(s["poses"])
             lines = {
                 name: (color, s[name]) for name, color in LINES.items() if np.isfinite(s[name]).all(axis=1).sum() > 1
@@ -98,29 +101,38 @@ def _pictures(
             )
 
 
-def _write_png(path: Path, pictures: list[np.ndarray]) -> None:
+def _write_png(path: Path, pictures: Iterator[np.ndarray]) -> None:
     from PIL import Image
 
-    Image.fromarray(pictures[0]).save(path)
+    Image.fromarray(next(pictures)).save(path)
 
 
-def _write_mp4(path: Path, pictures: list[np.ndarray]) -> None:
-    """The library does not check how its program ended: pictures are counted in what it left."""
-    import imageio.v3 as imageio
-    from imageio_ffmpeg import count_frames_and_secs
+def _write_mp4(path: Path, pictures: Iterator[np.ndarray]) -> None:
+    """The next pictures are drawn while the encoder's process has the last ones. The library does not check how it ended: pictures are
+    counted in what it left."""
+    from imageio_ffmpeg import count_frames_and_secs, write_frames
 
+    first = next(pictures)
     options: dict[str, Any] = {"codec": "libx264", "macro_block_size": 2, "ffmpeg_log_level": "quiet"}
-    options["output_params"] = ["-preset", "veryfast"]  # as small as by the default, in half of the time
-    try:
-        imageio.imwrite(path, pictures, plugin="FFMPEG", fps=RATES[".mp4"], **options)
+    # as small as by the default, in less than half of the time
+    options["output_params"] = ["-preset", "veryfast", "-x264-params", "subme=1"]
+    encoder = write_frames(str(path), first.shape[1::-1], fps=RATES[".mp4"], **options)
+    next(encoder)
+    count = written = 0
+    with closing(encoder):
+        for picture in chain([first], pictures):  # what drawing raises is no failure of the encoder
+            written += 1
+            try:
+                encoder.send(np.ascontiguousarray(picture))
+            except OSError:  # it ended early
+                break
+    with suppress(OSError, RuntimeError, ValueError):  # it left no film at all
         count = count_frames_and_secs(str(path))[0]
-    except (OSError, RuntimeError, ValueError):  # it ended early, or left no film at all
-        count = 0
-    if count != len(pictures):
-        raise OSError(f"{count} of {len(pictures)} pictures are in it; the disk may be full")
+    if count != written:
+        raise OSError(f"{count} of {written} pictures are in it; the disk may be full")
 
 
-def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
+def _write_gif(path: Path, pictures: Iterator[np.ndarray]) -> None:
     """Few colors and no dither: a third of the size, and surfaces do not flicker."""
     from PIL import Image
 
@@ -129,7 +141,7 @@ def _write_gif(path: Path, pictures: list[np.ndarray]) -> None:
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True)
 
 
-def _write_webp(path: Path, pictures: list[np.ndarray]) -> None:
+def _write_webp(path: Path, pictures: Iterator[np.ndarray]) -> None:
     from PIL import Image
 
     frames = [Image.fromarray(p) for p in pictures]

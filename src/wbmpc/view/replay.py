@@ -134,14 +134,26 @@ class Film:
         return found
 
     # ------------------------------------------------------------------ pictures
-    def snapshot(self, t: float) -> dict[str, Array]:
-        """What there was at time t [s]."""
-        k = latest(self.times, t)
-        frames = {**self._static, **self._frames[k]}
+    def picture(self, t: float) -> dict[str, Array]:
+        """Of a snapshot what can be seen: poses and lines."""
+        frames, placed = self._at(t), {}
         shown = self._stages.bodies(t)
-        poses = np.array([_HIDDEN if body is None else self._placed(frames, body) for body in shown])
+        poses = [_HIDDEN if body is None else self._placed(frames, body, placed) for body in shown]
         drift = frames.get("odom", ("map", _NOWHERE))[1]
         in_map = lambda p: p @ lie.quaternion_to_rotation(drift[3:]).T + drift[:3]
+        paths = {
+            n: in_map(filled(p[latest(times, t)] if p else [], (PLAN, 3))) for n, (times, p) in self._plans.items()
+        }
+        reference = in_map(filled(self._way, (REFERENCE, 3)))
+        return {"poses": np.array(poses), "reference": reference, "trail": filled(self._taken(t), (TRAIL, 3)), **paths}
+
+    def _at(self, t: float) -> dict[str, tuple[str, Array]]:
+        return {**self._static, **self._frames[latest(self.times, t)]}
+
+    def snapshot(self, t: float) -> dict[str, Array]:
+        """What there was at time t [s]."""
+        frames = self._at(t)
+        drift = frames.get("odom", ("map", _NOWHERE))[1]
         contacts = [
             Contact(
                 body, np.array([table.columns[f"wrench.force.{a}"][latest(table.times, t)] for a in "xyz"]), place[:3]
@@ -153,13 +165,9 @@ class Film:
         values = {name: v[latest(times, t)] for name, (times, v) in self.numbers.items()}
         values |= {"t": t, "deadline": self.deadline}
         values |= {name: on_floor.pop(name) for name in ("margin", "triangle_margin")}
-        paths = {
-            n: in_map(filled(p[latest(times, t)] if p else [], (PLAN, 3))) for n, (times, p) in self._plans.items()
-        }
         return {
-            "numbers": np.array([float(values.get(name, np.nan)) for name in NUMBERS]), "poses": poses,
-            "reference": in_map(filled(self._way, (REFERENCE, 3))), "goal": self._goal(t, drift),
-            "base_goal": np.full(3, np.nan), "trail": filled(self._taken(t), (TRAIL, 3)), **paths, **on_floor,
+            "numbers": np.array([float(values.get(name, np.nan)) for name in NUMBERS]),
+            "goal": self._goal(t, drift), "base_goal": np.full(3, np.nan), **self.picture(t), **on_floor,
         }  # fmt: skip
 
     def _taken(self, t: float) -> Array:
@@ -169,14 +177,17 @@ class Film:
         times, points = self._trail
         return points[: latest(times, t) + 1]
 
-    def _placed(self, frames: dict[str, tuple[str, Array]], name: str) -> Array:
-        """A frame in ``map``."""
-        pose, seen = _NOWHERE, 0
-        while name not in ("map", "world"):
-            if name not in frames or seen > len(frames):
+    def _placed(self, frames: dict[str, tuple[str, Array]], name: str, placed: dict[str, Array]) -> Array:
+        """A frame in ``map``, noted in ``placed`` as all on the way to it."""
+        way: list[str] = []
+        while name not in ("map", "world") and name not in placed:
+            if name not in frames or len(way) > len(frames):
                 raise InputError(f"{self.recording.path}: frame '{name}' is not connected to 'map'")
-            name, step = frames[name]
-            pose, seen = lie.pose_compose(step, pose), seen + 1
+            way.append(name)
+            name = frames[name][0]
+        pose = placed.get(name, _NOWHERE)
+        for child in reversed(way):
+            pose = placed[child] = lie.pose_compose(pose, frames[child][1])
         return pose
 
     def _goal(self, t: float, drift: Array) -> Array:
