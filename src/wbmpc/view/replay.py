@@ -136,7 +136,8 @@ class Film:
     # ------------------------------------------------------------------ pictures
     def picture(self, t: float) -> dict[str, Array]:
         """Of a snapshot what can be seen: poses and lines."""
-        frames, placed = self._at(t), {}
+        frames = self._at(t)
+        placed: dict[str, Array] = {}
         shown = self._stages.bodies(t)
         poses = [_HIDDEN if body is None else self._placed(frames, body, placed) for body in shown]
         drift = frames.get("odom", ("map", _NOWHERE))[1]
