@@ -6,7 +6,6 @@ import importlib
 import os
 import platform
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from types import TracebackType
@@ -92,8 +91,6 @@ class Renderer:
             self._renderer = mujoco.Renderer(model, height, width)
         except (ImportError, RuntimeError, mujoco.FatalError) as error:
             raise WbmpcError(f"no picture: OpenGL does not start ({error}); try MUJOCO_GL=egl or osmesa") from error
-        if samples == 0:
-            self._blend_no_sizes()
         flags = self._renderer.scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows == "all"
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
@@ -122,18 +119,6 @@ class Renderer:
             self._draw(color, np.asarray(points, float).reshape(-1, 3), _OFF_LINE * seen)
         picture: Image = self._renderer.render()
         return picture
-
-    def _blend_no_sizes(self) -> None:
-        """Each pixel of the floor from one size of its texture: a blend of two, as MuJoCo orders, takes longer without a graphics card and
-        is not seen in a film. Where this fails the picture is right too."""
-        from OpenGL import GL, error
-
-        context = self._renderer._mjr_context
-        with suppress(error.Error):
-            for name, cube in zip(context.texture, context.textureType, strict=True):
-                if name and not cube:
-                    GL.glBindTexture(GL.GL_TEXTURE_2D, int(name))
-                    GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST)
 
     def _cast_on_floor(self) -> None:
         """Shadows as flat bodies on the floor: MuJoCo's own draw all of the picture once more."""
