@@ -214,6 +214,19 @@ def test_reports_of_failed_runs_are_kept(tmp_path: Path) -> None:
     assert all((Path(files) / "report.html").is_file() for files in kept.values())
 
 
+def test_a_report_has_what_a_killed_study_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its rows are in the journal alone, as if the process had ended before Parquet was written; while it runs nothing is taken."""
+    made = Study.load(study(tmp_path), tmp_path / "out")
+    with monkeypatch.context() as killed:
+        killed.setattr(Store, "finish", lambda store: None)
+        with pytest.raises(InputError, match="no finished runs"):
+            made.run(workers=0)
+    with Store(made.out), pytest.raises(InputError, match="no finished runs"):
+        made.report()
+    assert (made.out / "journal.jsonl").is_file()
+    assert made.report().finished == 20 and not (made.out / "journal.jsonl").exists()
+
+
 def test_the_command_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = study(tmp_path)
     assert main(["study", str(file), "--workers", "0", "--out", str(tmp_path / "out"), "--json"]) == 0

@@ -58,6 +58,16 @@ def parquet() -> Any:
     return pyarrow.parquet
 
 
+def is_running(folder: Path) -> bool:
+    """Whether a process has the lock on a study's folder."""
+    with (folder / LOCK).open("a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return True
+    return False
+
+
 class Store:
     """Rows of a study in ``folder``; a context, with a lock on the folder. Raises :class:`InputError` if another process has it."""
 

@@ -16,10 +16,10 @@ from wbmpc.json_file import load_json
 from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
 from wbmpc.study.definition import Condition, Definition, load_definition
-from wbmpc.study.files import ABOUT, BEST, PAGE, ROWS, STATISTICS, TRIAL_ROWS, TRIALS
+from wbmpc.study.files import ABOUT, BEST, JOURNAL, PAGE, ROWS, STATISTICS, TRIAL_ROWS, TRIALS
 from wbmpc.study.page import study_page
 from wbmpc.study.plan import Combination, Run, check_inputs, combinations, open_experiment, runs
-from wbmpc.study.store import Store
+from wbmpc.study.store import Store, is_running
 from wbmpc.study.summary import Summary, summarize
 from wbmpc.study.tune_page import tune_page
 from wbmpc.study.tuning import Tuner, settings_of_trial
@@ -166,6 +166,9 @@ class Study:
 
     def table(self, columns: list[str] | None = None) -> pyarrow.Table:
         """A row for each run; ``columns``: only those. Raises :class:`InputError` where nothing has been run."""
+        if (self.out / JOURNAL).is_file() and not is_running(self.out):  # of a study that was killed
+            with Store(self.out) as store:
+                store.finish()
         if not (self.out / ROWS).is_file():
             raise InputError(f"{self.out}: there are no finished runs")
         return Store(self.out).table(columns)
