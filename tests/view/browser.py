@@ -101,10 +101,10 @@ class Page:
         return True
 
     def click(self, label: str) -> None:
-        self.page.get_by_role("button", name=label, exact=True).first.click(timeout=20_000)
+        self.page.get_by_role("button", name=label, exact=True).first.click(timeout=120_000)
 
     def uncheck(self, label: str) -> None:
-        self.page.get_by_label(label).first.uncheck(timeout=20_000)
+        self.page.get_by_label(label).first.uncheck(timeout=120_000)
 
     def _lit(self, at: np.ndarray) -> int:
         """Pixels near a point in the color of a gizmo's part under the pointer (yellow)."""

@@ -138,14 +138,15 @@ class Standstill:
     def __init__(self) -> None:
         self._values, self._since = np.zeros(0), np.inf
 
-    def lasts(self, now: float, sample: JointSample, rates: Mapping[str, np.ndarray]) -> bool:
-        """Whether it has lasted too long by ``now`` [s] on any steady clock; ``rates``: commands by group [rad/s or m/s]."""
+    def lasts(self, sample: JointSample, rates: Mapping[str, np.ndarray]) -> bool:
+        """Whether it has lasted too long by the stamp of a ``sample``: states that do not come at all are another fault; ``rates``: commands
+        by group [rad/s or m/s]."""
         values = np.concatenate([*sample.groups.values()])
         fastest = max((np.abs(rates[g]).max(initial=0.0) for g in sample.groups if g in rates), default=0.0)
-        if fastest < _MOVES or not np.array_equal(values, self._values) or now < self._since:
-            self._since = now
+        if fastest < _MOVES or not np.array_equal(values, self._values) or sample.stamp < self._since:
+            self._since = sample.stamp
         self._values = values
-        return now - self._since > _STARTS
+        return sample.stamp - self._since > _STARTS
 
 
 @dataclass(frozen=True)

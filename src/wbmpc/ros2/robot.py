@@ -282,7 +282,7 @@ class BusRobot:
             raise SafeStop(f"no joint states on {self.settings.topics.joint_states}")
         sample, arrival = joints
         watched = self._armed and not self.adapter.must_keep_running  # whose monitor of encoders says more
-        if watched and self._standstill.lasts(self.clock.now(), sample, self.commanded):
+        if watched and self._standstill.lasts(sample, self.commanded):
             topic = self.settings.topics.joint_states
             raise SafeStop(f"the joint states on {topic} stand still, under new stamps, while the drives are to move")
         self._waiting.clear()
