@@ -102,9 +102,15 @@ def build(settings: RezeroStepsSettings, seed: int) -> Scenario:
     schedule = Schedule.of(settings, robot)
     body = schedule.body(robot)
 
+    shown = -1
+
     def hide_future(mpc: MPC, timing: Timing, t: float) -> None:
         """Without preview the present target holds for the whole horizon."""
+        nonlocal shown
         i = schedule.at(t + timing.delay * timing.period)
+        if i == shown:
+            return
+        shown = i
         mpc.reference["end_effector"] = Reference.poses([0.0], schedule.positions[i : i + 1], schedule.quaternions[i])
         mpc.reference["body"] = Reference.constant(body.values[i])
 
