@@ -100,7 +100,16 @@ class Tuner:
     where: str
 
     def __post_init__(self) -> None:
+        self._check_own()
         self._found = self._open()
+
+    def _check_own(self) -> None:
+        """Find files that cannot be read before trials are counted as rejected for them; what is searched may add what settings lack."""
+        try:
+            own = combinations(self.definition, self.folder, self.where)
+        except InputError:
+            return
+        check_inputs(own, self.where)
 
     def _open(self) -> optuna.Study:
         optuna, t = _optuna(), self.tuning
