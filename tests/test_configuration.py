@@ -16,6 +16,10 @@ from wbmpc.settings import Settings
 from wbmpc.tasks.settings import SimulationSettings
 
 
+class Factors(FakeSettings):
+    factors: dict[str, Annotated[float, Field(gt=0)]] = Field(default={"one": 1.0})
+
+
 def value_at(tree: Any, key: str) -> Any:
     """What a nested mapping has at a dotted key; None inside of a section that is left out or of another kind, the tree at no key."""
     for part in key.split(".") if key else ():
@@ -301,12 +305,26 @@ def test_weights_and_thresholds_have_limits(name: str, given: str, message: str)
         ("mpc: {rate: 50}\nmpc.rate: 60\n", "mpc.rate"),
         ("mpc.rate: 50\nmpc: {rate: 50}\n", "mpc.rate"),
         ("cost: {end_effector.weight: 1}\ncost.end_effector: {weight: 2}\n", "cost.end_effector.weight"),
+        ("factors: {one: 1}\nfactors.two: 2\n", "factors.two"),
+        ("factors.two: 2\nfactors: {one: 1}\n", "factors"),
     ],
 )
 def test_a_key_of_a_file_is_there_once_however_it_is_written(text: str, key: str, tmp_path: Path) -> None:
     (tmp_path / "settings.yaml").write_text(text)
     with pytest.raises(InputError, match=f"settings.yaml: key '{key}' is there twice"):
-        configure(FakeSettings, [], "fake", tmp_path / "settings.yaml")
+        configure(Factors, [], "fake", tmp_path / "settings.yaml")
+
+
+def test_entries_of_a_mapping_are_given_one_by_one(tmp_path: Path) -> None:
+    """So that a study varies one of them; those that are not named stay."""
+    (tmp_path / "settings.yaml").write_text("factors.two: 2\n")
+    given = configure(Factors, ["factors={one: 3}", "factors.three=1e-1"], "fake", tmp_path / "settings.yaml")
+    assert given.factors == {"one": 3.0, "three": 0.1}
+    given = configure(Factors, ["factors.three=4"], "fake", tmp_path / "settings.yaml")
+    assert given.factors == {"one": 1.0, "two": 2.0, "three": 4.0}
+    for wrong in ("factors.=1", "factors.one.two=1", "factor.one=1", "factors.one=true", "factors.one=-1"):
+        with pytest.raises(InputError, match="fake: --set"):
+            configure(Factors, [wrong], "fake")
 
 
 def test_a_kind_of_a_file_is_there_once_however_it_is_written(tmp_path: Path) -> None:

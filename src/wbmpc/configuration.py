@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import reduce
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
@@ -228,10 +228,18 @@ def _kinds(model: type[BaseModel], key: str) -> dict[str, type[BaseModel]]:
     return {k: m for m in found if KIND in m.model_fields for k in get_args(m.model_fields[KIND].annotation)}
 
 
+def _known(model: type[BaseModel], key: str, value: Any, valid: list[str]) -> str | None:
+    """The key that is meant: itself, an entry of a mapping (``weights.NAME``), the kind of a section; None: there is none."""
+    mapping, _, entry = key.rpartition(".")
+    if key in valid or (entry and any(get_origin(kind) is dict for kind in _types(model, mapping))):
+        return key
+    return f"{key}.{KIND}" if isinstance(value, str) and _kinds(model, key) else None
+
+
 def has_truths(value: Any) -> bool:
     """Whether a value is, or holds, true or false."""
-    inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
-    return isinstance(value, bool) or any(map(has_truths, inside))
+    inside = value.values() if isinstance(value, Mapping) else value
+    return isinstance(value, bool) or (isinstance(value, Mapping | list | tuple) and any(map(has_truths, inside)))
 
 
 def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
@@ -267,11 +275,9 @@ def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> li
     """Keys and values, checked one by one."""
     valid, pairs = keys(model), []
     for assignment in assignments:
-        key, value = _parse(assignment, where)
-        if key not in valid and isinstance(value, str) and _kinds(model, key):
-            key = f"{key}.{KIND}"
-        if key not in valid:
-            raise _unknown(key, valid, where)
+        given, value = _parse(assignment, where)
+        if (key := _known(model, given, value, valid)) is None:
+            raise _unknown(given, valid, where)
         if has_truths(value) and bool not in _types(model, key):
             raise InputError(f"{where}: --set {assignment.strip()}: a number or text is needed, not true or false")
         pairs.append((key, value))
@@ -344,19 +350,17 @@ def _of_file(model: type[BaseModel], path: Path, where: str) -> list[tuple[str, 
 
     def walk(section: Mapping[Any, Any], prefix: str) -> None:
         for name, value in section.items():
-            key = f"{prefix}{name}"
-            if isinstance(value, dict) and key not in valid and any(k.startswith(f"{key}.") for k in valid):
-                walk(value, f"{key}.")
+            given = f"{prefix}{name}"
+            if isinstance(value, dict) and given not in valid and any(k.startswith(f"{given}.") for k in valid):
+                walk(value, f"{given}.")
                 continue
-            if key not in valid and isinstance(value, str) and _kinds(model, key):
-                key = f"{key}.{KIND}"
-            if key not in valid:
-                raise InputError(str(_unknown(key, valid, where)).replace(f"{where}: --set", str(path), 1))
+            if (key := _known(model, given, value, valid)) is None:
+                raise InputError(str(_unknown(given, valid, where)).replace(f"{where}: --set", str(path), 1))
             if math.isinf(_largest(value)):
                 raise InputError(f"{path}: key '{key}': numbers must be finite, at most {LARGEST:.3g}")
             if has_truths(value) and bool not in _types(model, key):
                 raise InputError(f"{path}: key '{key}': a number or text is needed, not true or false")
-            if key in dict(found):
+            if any(k in (key, key.rpartition(".")[0]) or k.startswith(f"{key}.") for k, _ in found):
                 raise InputError(f"{path}: key '{key}' is there twice, in its section and with dots")
             found.append((key, _numbers(value)))
 
@@ -365,8 +369,7 @@ def _of_file(model: type[BaseModel], path: Path, where: str) -> list[tuple[str, 
 
 
 def configure(model: type[BaseModel], assignments: Iterable[str], where: str, file: Path | None = None) -> Any:
-    """An instance of ``model`` with its defaults, the settings of a YAML ``file``, and the given ``key=value`` assignments (a later one
-    wins).
+    """An instance of ``model`` with its defaults, the settings of a YAML ``file``, and ``key=value`` assignments (a later one wins).
 
     Values are written as in YAML: ``100``, ``true``, ``[0.6, 0.9]``.
     Raises :class:`InputError` naming ``where`` (the experiment) or the file, the key and the valid choices.

@@ -90,6 +90,8 @@ def _kind(annotation: Any) -> str:
         return ", ".join(f"`{v}`" for v in inner)
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(_kind(a) for a in inner))
+    if origin is dict:
+        return f"by name (KEY.NAME): {_kind(inner[1])}"
     if origin is not None:
         return f"{origin.__name__} of " + ", ".join(dict.fromkeys(_kind(a) for a in inner if a is not Ellipsis))
     return {"NoneType": "none", "str": "text", "float": "number", "int": "integer", "bool": "true, false"}.get(
