@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -45,6 +45,12 @@ class Metric:
         if self.goal is None and self.least is None:
             return None
         return bool((self.goal is None or self.value <= self.goal) and (self.least is None or self.value >= self.least))
+
+
+def metrics_of_interest(names: Sequence[str], judged: Mapping[str, str]) -> list[str]:
+    """What tables of runs show of the metrics ``names`` when nobody says: those that are ``judged`` by a goal or a paper's figure, by name
+    with their units; all, where these only count something (falls, contacts)."""
+    return list(dict.fromkeys(judged if any(unit not in ("", "1") for unit in judged.values()) else names))
 
 
 def no_comparison(goal: float | None = None) -> Metric:

@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from wbmpc.errors import InputError
 from wbmpc.report import RECORDING, document
-from wbmpc.result import Metric
+from wbmpc.result import Metric, metrics_of_interest
 from wbmpc.run_files import read_metrics
 from wbmpc.units import Scale, scale, with_unit
 
@@ -139,8 +139,9 @@ filter.addEventListener("input", () => { const words = filter.value.toLowerCase(
 </script>
 <style>th[aria-sort=ascending]::after { content: " ▲" } th[aria-sort=descending]::after { content: " ▼" }
 #filter { width: 100%; padding: 10px 14px; font: inherit; color: inherit; border: 1px solid var(--line); border-radius: 8px; background: var(--card);
-  margin: 20px 0 0 } th { white-space: normal; vertical-align: top } th.m { min-width: 200px }
-.note { display: block; white-space: normal; min-width: 220px } main { max-width: 1400px }</style>"""
+  margin: 20px 0 0 } th { white-space: normal; vertical-align: top } th.m { min-width: 104px }
+.note { display: block; white-space: normal; min-width: 220px } main { max-width: 1460px }
+main :is(th, td) { padding: 6px 9px; font-size: 14px }</style>"""
 
 
 def page(runs: Sequence[Entry], beside: Path, studies: str = "") -> str:
@@ -157,11 +158,9 @@ def page(runs: Sequence[Entry], beside: Path, studies: str = "") -> str:
 
 
 def _section(name: str, runs: list[Entry], beside: Path) -> str:
-    """A table with the metrics that have a goal or a paper's figure, each in one unit; without any, all metrics."""
-    of_interest = [
-        n for run in runs for n, m in run.metrics.items() if (m.goal, m.least, m.paper) != (None, None, None)
-    ]
-    shown = list(dict.fromkeys(of_interest)) or list(dict.fromkeys(n for run in runs for n in run.metrics))
+    """A table with the metrics of interest, each in one unit."""
+    judged = {n: m.unit for run in runs for n, m in run.metrics.items() if (m.goal, m.least, m.paper) != (None,) * 3}
+    shown = metrics_of_interest([n for run in runs for n in run.metrics], judged)
     scales = {n: _scale([run.metrics[n] for run in runs if n in run.metrics]) for n in shown}
     heads = "".join(
         _head(with_unit(n, scales[n].unit), [run.metrics[n] for run in runs if n in run.metrics]) for n in shown
@@ -170,7 +169,7 @@ def _section(name: str, runs: list[Entry], beside: Path) -> str:
     title = html.escape(name) or "Unreadable"
     return f"""<section id="{title}"><h2>{title}</h2><div class="card scroll"><table>
 <tr><th>run</th><th class=n>seed</th><th>outcome</th>
-<th class=n>metrics at goal</th><th>ended</th><th>commit</th>{heads}</tr>{rows}</table></div></section>"""
+<th class=n>metrics at goal</th>{heads}<th>ended</th><th>commit</th></tr>{rows}</table></div></section>"""
 
 
 def _head(text: str, metrics: Sequence[Metric]) -> str:
@@ -193,8 +192,8 @@ def _row(run: Entry, shown: Sequence[str], scales: dict[str, Scale], beside: Pat
         f"<td>{_links(run, beside)}</td>", f'<td class=n data-v="{seed}">{seed}</td>',
         f'<td><span class="{kind}">{html.escape(run.outcome)}</span>{note}</td>',
         f'<td class=n data-v="{reached / judged if judged else ""}">{f"{reached} of {judged}" if judged else ""}</td>',
-        f"<td>{run.ended:%Y-%m-%d %H:%M:%S}</td>", f"<td>{html.escape(run.commit)}</td>",
         *(_cell(run.metrics.get(n), scales[n], run.completed) for n in shown),
+        f"<td>{run.ended:%Y-%m-%d %H:%M:%S}</td>", f"<td>{html.escape(run.commit)}</td>",
     ]  # fmt: skip
     return f"<tr>{''.join(cells)}</tr>"
 

@@ -176,8 +176,9 @@ class Tuning(Section):
 class Definition(Section):
     """A study: ``experiments`` (names or Python files, with settings of their own) × ``conditions`` × ``robots`` × ``vary`` ×
     ``draws`` × ``seeds``. ``settings``: of all runs. ``compare_with``: the condition with which the others are compared (the first
-    when left out). ``metrics``: what tables and pages show (when left out: those that have a goal or a paper's figure); of those in
-    ``larger_is_better`` a small one is a bad one. ``files``: of which runs report and recording are kept."""
+    when left out). ``metrics``: what tables and pages show (when left out: those that have a goal or a paper's figure; all, where these
+    only count falls and contacts); of those in ``larger_is_better`` a small one is a bad one. ``files``: of which runs report and recording
+    are kept."""
 
     title: str = ""
     experiments: dict[str, dict[str, Any]] = Field(min_length=1)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wbmpc.result import metrics_of_interest
 from wbmpc.study.statistics import Paired, Rate, Spread, failure_rate, paired, spread
 from wbmpc.study.store import Targets, combination_of, targets_of
 
@@ -153,7 +154,7 @@ def summarize(
     compare_with: str = "",
     larger_is_better: Sequence[str] = (),
 ) -> Summary:
-    """Of a study's table. ``metrics``: those that are shown (when empty: with a goal or a paper's figure, or else all)."""
+    """Of a study's table. ``metrics``: those that are shown (when empty: those of interest)."""
     columns = [name for name in table.column_names if name.startswith("metric.")]
     units = {n.removeprefix("metric."): _unit(table.schema.field(n)) for n in columns}
     keys, outcomes = table["key"].to_pylist(), np.array(table["outcome"].to_pylist(), dtype=object)
@@ -176,7 +177,7 @@ def summarize(
     lost = Counter(f"{outcomes[k]}: {texts['reason'][k]}" for k in bad)
     sources = {n: tuple(dict.fromkeys(t for t in table[n].to_pylist() if t)) for n in ("version", "commit", "code")}
     shown = {
-        e: _shown([c for c in cells if c.experiment == e], targets, metrics)
+        e: _shown([c for c in cells if c.experiment == e], targets, units, metrics)
         for e in dict.fromkeys(c.experiment for c in cells)
     }
     first = next(iter(dict.fromkeys(c.condition for c in cells)), "")
@@ -194,14 +195,14 @@ def summarize(
     )
 
 
-def _shown(cells: Sequence[Cell], targets: Targets, chosen: Sequence[str]) -> tuple[str, ...]:
+def _shown(cells: Sequence[Cell], targets: Targets, units: Mapping[str, str], chosen: Sequence[str]) -> tuple[str, ...]:
     """Metrics of an experiment's cells that tables show."""
     there = list(dict.fromkeys(m for c in cells for m in c.figures))
     if chosen:
         return tuple(m for m in chosen if m in there)
     known = [targets.get(c.key, {}) for c in cells]
-    of_interest = [m for m in there if any(v is not None for of in known for v in of.get(m, {}).values())]
-    return tuple(of_interest or there)
+    judged = {m: units[m] for m in there if any(v is not None for of in known for v in of.get(m, {}).values())}
+    return tuple(metrics_of_interest(there, judged))
 
 
 def _unit(column: Any) -> str:
