@@ -34,7 +34,8 @@ NO_PART = frozenset(
 SWERVE, BALL = SIMULATED | {"bases/swerve", "studies/pankert2022"}, SIMULATED | {"bases/ball", "studies/minniti2019"}
 #: Where the README says that its figures are older than the code, and how.
 AGE, OLDER = re.compile(r"(<!--= age -->)(.*?)(<!--/-->)"), " (the code has changed since)"
-COMMIT = re.compile(r"(?<![\w.])(?=[0-9]*[a-f])[0-9a-f]{8,10}(?!\w)")
+#: One of digits alone is a number unless it stands after the word; another project's stands after its name.
+COMMIT = re.compile(r"(?<![\w.])(?<!acados )(?:(?<=commit )|(?=[0-9]*[a-f]))[0-9a-f]{8,10}(?!\w)")
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,11 @@ TABLES = (
     ),
     _marked("rooms", "docs/results/rooms.md", SIMULATED | {"bases/differential"}),
     _marked("translator", "docs/explanation/solver.md", frozenset({"kernel"})),
+    _marked(
+        "acados",
+        "docs/explanation/solver.md",
+        frozenset({"kernel", "model", "ocp", "solver", "bases/ball", "bases/swerve"}),
+    ),
 )
 
 
