@@ -105,9 +105,8 @@ def test_a_table_is_as_old_as_the_code_that_it_depends_on(tmp_path: Path, monkey
         pytest.skip("there is no git")
     commit = (git("rev-parse", "HEAD") or "")[:10]
     page = tmp_path / "page.md"
-    page.write_text(
-        f"<!-- some goals -->\n| 0.12345678 | a{commit[:8]}b12345678 | 12345678 |\n| commit {commit}, acados 21376cb1a |\n<!-- end of some goals -->\n"
-    )
+    rows = f"| 0.12345678 | a{commit[:8]}b12345678 | 12345678 |\n| commit {commit}, acados 21376cb1a |"
+    page.write_text(f"<!-- some goals -->\n{rows}\n<!-- end of some goals -->\n")
     monkeypatch.setattr(table_age, "ROOT", tmp_path)
     packages = frozenset({"mpc", "solver", "bases/ball", "bases/swerve", "modules"})
     table = table_age._marked("some goals", "page.md", packages)
