@@ -279,7 +279,7 @@ def test_a_guess_that_calls_its_own_update_is_one_error_and_the_mpc_goes_on() ->
 
     mpc.guess = again
     for _ in range(2):  # the mark of the first failure is gone
-        with pytest.raises(SolverBusy, match="MPC.update: called before its last call has ended"):
+        with pytest.raises(SolverBusy, match=r"MPC\.update: called before its last call has ended"):
             mpc.update(start)
     mpc.guess = None
     np.testing.assert_array_equal(mpc.update(start)(0.0), plain.update(start)(0.0))
