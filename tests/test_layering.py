@@ -49,7 +49,7 @@ ONLY_IN = {
         "cli",
         "bases/TYPE",
     },
-    "multiprocessing": {"runtime", "benchmark", "view", "studies"},
+    "multiprocessing": {"interrupts", "runtime", "benchmark", "view", "studies"},
     "cyclonedds": {"ros2"},
     "rosbags": {"ros2"},
     "rclpy": {"ros2"},

@@ -65,7 +65,7 @@ class SolveFailed(WbmpcError):
 
 
 class SolverBusy(WbmpcError, RuntimeError):
-    """A solver or an MPC was called from a second thread while it works for another one."""
+    """A solver or an MPC was called from a second thread while it works for another one, or an MPC from its own guess."""
 
 
 class KernelError(WbmpcError):

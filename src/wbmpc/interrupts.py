@@ -123,3 +123,17 @@ def terminable() -> Iterator[None]:
             if number == signal.SIGALRM:
                 signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(number, usual)
+
+
+@contextmanager
+def deaf() -> Iterator[None]:
+    """Threads and processes that this thread starts in here do not hear the terminal's Ctrl-C, from their first instruction on: a signal
+    that is blocked stays so for them. It is for the process that started them, which ends them."""
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # which would unblock it at the start of the first process
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous)

@@ -61,6 +61,17 @@ def test_damaged_files_are_built_again(folder: Path, damage: str, caplog: pytest
     assert build_kernel(transcription()).from_cache
 
 
+def test_an_entry_larger_than_the_memory_is_built_again(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As a file system leaves one that lost its length; nothing of it is on the disk."""
+    build_kernel(transcription())
+    (file,) = folder.glob("*.bin")
+    size = file.stat().st_size
+    os.truncate(file, 2**43)
+    assert not build_kernel(transcription()).from_cache
+    assert "is damaged or of another problem: it is built again" in caplog.text
+    assert file.stat().st_size == size and build_kernel(transcription()).from_cache
+
+
 def test_a_whole_entry_under_another_name_is_built_again(folder: Path) -> None:
     built = build_kernel(transcription())
     (file,) = folder.glob("*.bin")

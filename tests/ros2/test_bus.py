@@ -419,6 +419,50 @@ def test_a_service_answers(nodes: tuple[Any, Any]) -> None:
         other.call("/nobody", "std_srvs/srv/Trigger", {}, timeout=0.1)
 
 
+@pytest.mark.parametrize("deferred", [True, False])
+def test_an_answer_waits_for_the_reader_of_who_asked(nodes: tuple[Any, Any], deferred: bool) -> None:
+    """Discovery brings a client's writer and reader in any order: here its reader comes 0.3 s after the request."""
+    one, other = nodes
+    kind, count = "std_srvs/srv/SetBool", [0]
+
+    def answer(request: Any) -> dict[str, Any]:
+        count[0] += 1
+        return {"success": True}
+
+    one.serve("/late", kind, answer, deferred=deferred)
+    header = {"client": dds.idl_types.uint64, "number": dds.idl_types.int64}
+    make = lambda name, end: (kind + end, other._topic(name, kind + end, header))
+    (asked, requests), (said, replies) = make("rq/lateRequest", "_Request"), make("rr/lateReply", "_Response")
+    mark = "clientid=1.2.3;"
+    writer = dds.DataWriter(other._participant, requests, qos=other._qos(DEFAULT, asked, mark))
+    assert wait_until(lambda: dds.matched(writer))
+    body = other.types.encode(asked, {"data": True})
+    writer.write(requests.data_type(body[:4] + bytes(range(16)) + body[4:]))
+    assert wait_until(lambda: one.work() or count[0])
+    end = time.monotonic() + 0.3
+    while time.monotonic() < end:
+        one.work()
+    reader = DataReader(other._participant, replies, qos=other._qos(DEFAULT, said, mark))
+    got: list[bytes] = []
+    assert wait_until(lambda: one.work() or got.extend(d for d, _ in dds._taken(reader)) or got)
+    assert got[0][4:20] == bytes(range(16)) and count == [1]
+    reader.__del__()
+    writer.__del__()
+
+
+def test_waiting_for_no_number_of_seconds_and_names_that_are_too_long_are_errors() -> None:
+    """DDS takes a message about nodes whose names are no longer than 256 characters."""
+    node = open_node("alone", "dds", NETWORK)
+    try:
+        node.serve("/s", "std_srvs/srv/SetBool", lambda q: {"success": True}, deferred=True)
+        with pytest.raises(InputError, match="timeout must be finite, got nan"):
+            node.call("/s", "std_srvs/srv/SetBool", {"data": True}, timeout=float("nan"))
+    finally:
+        node.close()
+    with pytest.raises(InputError, match="a name of letters, digits and _ is needed, 200 at most"):
+        open_node("x" * 300, "dds", NETWORK)
+
+
 def test_services_of_another_rmw_are_reported_on_both_sides(
     nodes: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

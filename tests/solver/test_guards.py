@@ -263,3 +263,23 @@ def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
     fine = Solver(problem.ocp, SLQ(step=0.05))
     with pytest.raises(NotFinite, match="node 7"):
         fine.warm_start(x)
+
+
+def test_a_guess_that_calls_its_own_update_is_one_error_and_the_mpc_goes_on() -> None:
+    """Truth: an MPC without a guess."""
+    lq = LinearQuadratic(4, 2, 0, n=10)
+    mpc, plain = wb.MPC(lq.problem()), wb.MPC(lq.problem())
+    for one in (mpc, plain):
+        one.reset(lq.x0)
+    start = wb.Observation(t=0.0, x=lq.x0)
+
+    def again(t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
+        mpc.update(wb.Observation(t=t, x=x0))
+        return None
+
+    mpc.guess = again
+    for _ in range(2):  # the mark of the first failure is gone
+        with pytest.raises(SolverBusy, match=r"MPC\.update: called before its last call has ended"):
+            mpc.update(start)
+    mpc.guess = None
+    np.testing.assert_array_equal(mpc.update(start)(0.0), plain.update(start)(0.0))

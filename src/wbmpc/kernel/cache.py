@@ -31,6 +31,8 @@ _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _DIRECTORY = os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC
 #: As the system follows at most.
 _MOST_LINKS = 40
+#: The largest entry [bytes]: code of the largest problems is a hundredth of it. More is damage, and may be more than the memory holds.
+_LARGEST = 2**28
 
 
 class UntrustedCache(KernelError):
@@ -191,7 +193,8 @@ def trusted_file(path: Path) -> bool:
 
 
 def _read(folder: int, path: Path) -> bytes | None:
-    """The content of an entry; None where there is no regular file that only the user can have written."""
+    """The content of an entry, nothing of one that is too large to be one; None where there is no regular file that only the user can
+    have written."""
     try:  # not waiting for pipes, not following links
         descriptor = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
     except OSError as error:
@@ -206,7 +209,7 @@ def _read(folder: int, path: Path) -> bytes | None:
         if why:
             _warn(why)
             return None
-        return file.read()
+        return file.read(found.st_size) if found.st_size <= _LARGEST else b""
 
 
 def load(key: str, **expected: str) -> tuple[bytes, dict] | None:

@@ -162,7 +162,7 @@ class MPC(Described):
 
     def update(self, observation: Observation) -> Policy:
         """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one, and
-        :class:`SolverBusy` while another thread is in this MPC."""
+        :class:`SolverBusy` while another thread is in this MPC, or a guess of its own."""
         with self.solver.exclusive:
             return self._update(observation)
 
@@ -239,7 +239,7 @@ class MPC(Described):
 
         If not: ``fault`` says why; :meth:`recover` from the last good plan.
         """
-        with self.solver.exclusive:
+        with self.solver.exclusive.once("MPC.update"):
             return self._advance(observation)
 
     def _advance(self, observation: Observation) -> bool:

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,16 +25,17 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+from wbmpc.checks import real_number
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, SMALL, Endpoint, Qos, full_name, nothing
+from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, LONGEST_NODE_NAME, SMALL, Endpoint, Qos, full_name, nothing
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import open_domain, return_participant, take_participant
 from wbmpc.ros2.dds_graph import Graph
 from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos
-from wbmpc.ros2.dds_source import FilteredTopic, cannot_talk, matched
+from wbmpc.ros2.dds_source import FilteredTopic, cannot_talk, gets_answers, matched
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred
 from wbmpc.ros2.messages import request, response, types
@@ -50,6 +52,8 @@ _HEADER_SIZE = 16
 #: A node announces its endpoints when it has made them; in this time [s] that has come, and in the other one what was announced
 #: before somebody listened, on a busy machine too.
 _ANNOUNCED, _EARLIER = 1.0, 5.0
+#: So long [s] an answer waits for the reader of who asked.
+_LATE = 1.0
 #: What the user data of a service's endpoints begin with, at its client and at its server.
 _CLIENT, _SERVER = "clientid=", "serviceid="
 _FOREIGN = "is of another RMW than rmw_cyclonedds, whose services are others"
@@ -64,8 +68,9 @@ class DdsNode:
     backend = "dds"
 
     def __init__(self, name: str, network: Network) -> None:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-            raise InputError(f"node: a name of letters, digits and _ is needed, got '{name}'")
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or len(name) > LONGEST_NODE_NAME:
+            most = LONGEST_NODE_NAME
+            raise InputError(f"node: a name of letters, digits and _ is needed, {most} at most, got '{name[:300]}'")
         self.name, self.network, self.types = name, network, types(network.distribution)
         self.closed = False
         self._mismatches, self._limit = Mismatches(self), RateLimit()
@@ -162,8 +167,8 @@ class DdsNode:
         replies = self._topic(f"rr{name}Reply", response_type, _HEADER)
         writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
 
-        def reply(asked: tuple[bytes, int]) -> None:
-            data, size = asked
+        def reply(asked: tuple[bytes, int, Callable[[], bool]]) -> None:
+            data, size, heard = asked
             head, body = data[4 : 4 + _HEADER_SIZE], data[:4] + data[4 + _HEADER_SIZE :]
             try:
                 if size > SMALL:
@@ -172,14 +177,22 @@ class DdsNode:
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
                 said = self.types.encode(response_type, rejected(error_message(error)))
+            send((said[:4] + head + said[4:], heard, time.monotonic() + _LATE))
+
+        def send(said: tuple[bytes, Callable[[], bool], float]) -> None:
+            data, heard, end = said
+            if not heard() and time.monotonic() < end:  # it would be lost
+                self._deferred.put(f"answers of {name}", send, said, len(data))
+                return
             with suppress(DDSException):  # who asked has gone
-                writer.write(replies.data_type(said[:4] + head + said[4:]))
+                writer.write(replies.data_type(data))
 
         def take(reader: DataReader) -> None:
-            for data, _ in _taken(reader):
+            for data, handle in _taken(reader):
                 if len(data) < 4 + _HEADER_SIZE:  # no client could be answered
                     continue
-                asked = data if len(data) <= SMALL else data[: 4 + _HEADER_SIZE], len(data)
+                heard = partial(gets_answers, writer, reader, handle, _CLIENT)
+                asked = data if len(data) <= SMALL else data[: 4 + _HEADER_SIZE], len(data), heard
                 if deferred:
                     self._deferred.put(name, reply, asked, len(asked[0]))
                 else:
@@ -200,6 +213,7 @@ class DdsNode:
         that is not deferred: no answer could come."""
         name = full_name(service)
         LOCAL.check_waits(f"calls {name}")
+        real_number("timeout", timeout)
         request_type, response_type = request(kind), response(kind)
         mark = f"{_CLIENT}{_identity()};"
         requests, replies = (

@@ -94,6 +94,26 @@ def cannot_talk(entity: DataReader | DataWriter, mark: str) -> bool:
     return bool(marks) and not any(marks)
 
 
+def gets_answers(writer: DataWriter, reader: DataReader, handle: int, mark: str) -> bool:
+    """Whether the client whose request has come to a service's ``reader`` from the writer with a ``handle`` has a reader that the service's
+    ``writer`` knows: discovery brings the two of a client in any order. They have one identity, which follows ``mark`` in their
+    user data; True of a client without one, and of one that has gone."""
+    own = _identity(reader.get_matched_publication_data, handle, mark)
+    return not own or any(
+        _identity(writer.get_matched_subscription_data, peer, mark) == own for peer in matched(writer)
+    )
+
+
+def _identity(look: Any, handle: int, mark: str) -> bytes:
+    """Of a peer; empty if it has none."""
+    with suppress(DDSException), GRAPH_LOCK:
+        peer = look(handle)
+        if peer is not None and Policy.Userdata in peer.qos:
+            _, found, rest = bytes(peer.qos[Policy.Userdata].data).partition(mark.encode())
+            return rest.partition(b";")[0] if found else b""
+    return b""
+
+
 class _Filter(ctypes.Structure):
     """dds_topic_filter."""
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -18,7 +19,7 @@ class Exclusive:
     """One thread at a time, which may enter again. Who comes meanwhile does not wait: :class:`SolverBusy`."""
 
     def __init__(self, what: str) -> None:
-        self.what, self._lock = what, threading.RLock()
+        self.what, self._lock, self._running = what, threading.RLock(), False
 
     def __enter__(self) -> None:
         if not self._lock.acquire(blocking=False):
@@ -28,6 +29,19 @@ class Exclusive:
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._lock.release()
+
+    @contextmanager
+    def once(self, call: str) -> Iterator[None]:
+        """As the context itself, but not again before it is left: a user's function that is called within it, as a guess is, may not
+        ``call`` what called it."""
+        with self:
+            if self._running:
+                raise SolverBusy(f"{call}: called before its last call has ended, as by a guess of this very MPC")
+            self._running = True
+            try:
+                yield
+            finally:
+                self._running = False
 
 
 class Interruptible:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
 from wbmpc.errors import InputError, RunAborted
+from wbmpc.interrupts import deaf
 from wbmpc.simulation.lockstep import interrupt_noted
 from wbmpc.study.store import MISSING
 from wbmpc.study.work import lost
@@ -154,7 +155,7 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         with _closing(client, None):
             yield Cluster(client, scheduler)
         return
-    with interrupt_noted() as interrupted, _deaf(), _threads_pinned():  # one that is half there cannot be closed
+    with interrupt_noted() as interrupted, deaf(), _threads_pinned():  # one that is half there cannot be closed
         cluster = LocalCluster(
             n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
             scheduler_kwargs=_NO_PAGES, silence_logs=logging.CRITICAL,
@@ -172,7 +173,7 @@ def _closing(client: Client, cluster: LocalCluster | None) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(Exception), _deaf():
+        with suppress(Exception), deaf():
             if cluster is not None:
                 for nanny in cluster.workers.values():
                     if nanny.pid is not None:
@@ -180,16 +181,6 @@ def _closing(client: Client, cluster: LocalCluster | None) -> Iterator[None]:
             client.close(timeout=5)
             if cluster is not None:
                 cluster.close(timeout=5)
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """Threads and processes that start in here do not hear the terminal's Ctrl-C: a signal that is blocked stays so for them."""
-    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
 @contextmanager

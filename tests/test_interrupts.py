@@ -1,0 +1,83 @@
+"""Ctrl-C in a terminal goes to all processes of a command. Truth: what the system's signals do to real processes, and the mask that
+a thread has while it starts one, which the process inherits."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+import numpy as np
+import pytest
+
+from realtime_toys import make_mpc
+from wbmpc.model.robot import load_robot
+from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.process import start_process
+from wbmpc.runtime.shared_memory import Board, Mailbox
+from wbmpc.types import Observation
+
+#: The first process of a program: that which keeps account of shared memory starts with it.
+STARTS = """
+import multiprocessing, os, signal, time
+from wbmpc.interrupts import deaf
+if __name__ == "__main__":
+    process = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(0.1,))
+    with deaf():
+        process.start()
+    signal.signal(signal.SIGINT, lambda number, frame: print("heard", flush=True))
+    os.killpg(0, signal.SIGINT)
+    process.join()
+    print("exit code", process.exitcode)
+"""
+
+
+def test_a_process_is_deaf_from_its_first_instruction_on(tmp_path: Any) -> None:
+    (tmp_path / "starts.py").write_text(STARTS)
+    run = [sys.executable, str(tmp_path / "starts.py")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(run, env=environment, capture_output=True, text=True, start_new_session=True, timeout=120.0)
+    assert (done.stdout, done.stderr) == ("heard\nexit code 0\n", "")
+
+
+def view_process() -> None:
+    pytest.importorskip("viser")
+    from wbmpc.view.realtime import scene_of
+    from wbmpc.view.steering import Controls
+    from wbmpc.view.window import Window
+
+    window = Window("test", "127.0.0.1", 8080, lambda url: None)
+    window.start(scene_of(load_robot("panda"))[1].scene, Controls("test", (), False, False), {"x": ()})
+
+
+def physics_process() -> None:
+    physics = pytest.importorskip("wbmpc.view.physics")
+    box = Observation(0.0, np.zeros(2))  # any message
+    physics.Simulated(lambda: None, box, box, WallClock(), None)
+
+
+def mpc_process() -> None:
+    box, board = Mailbox.shared({"x": ()}), Board.shared(("ready",))
+    start_process(make_mpc, box, box, board, board, 0.0, None)
+
+
+class _Started(Exception):
+    pass
+
+
+@pytest.mark.parametrize("start", [view_process, physics_process, mpc_process])
+def test_processes_of_a_command_start_deaf(start: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
+    masks = []
+
+    def started(process: BaseProcess) -> None:
+        masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+        raise _Started
+
+    monkeypatch.setattr(BaseProcess, "start", started)
+    with pytest.raises(_Started):
+        start()
+    assert signal.SIGINT in masks[0] and signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
