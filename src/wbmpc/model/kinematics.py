@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -23,6 +24,13 @@ SX = ca.SX
 def constant(value: ArrayLike) -> SX:
     """A numeric array as a sparse SX; rounding errors about 0 and ±1 are removed, since both make expressions shorter."""
     array = np.asarray(value, float)
+    return SX(_constant(array.tobytes(), array.shape))
+
+
+@lru_cache(4096)
+def _constant(content: bytes, shape: tuple[int, ...]) -> SX:
+    """The same of an array's memory: a robot's terms ask for its links' again and again."""
+    array = np.frombuffer(content).reshape(shape)
     whole = np.round(array)
     return SX(ca.sparsify(ca.DM(np.where((np.abs(array - whole) < 1e-14) & (np.abs(whole) <= 1), whole, array))))
 
