@@ -60,13 +60,13 @@ class Support:
         total = ca.SX(3, 1)
         for i, link in enumerate(self.chain.links):
             if link.mass > 0.0:
-                pose = self.chain.link_pose(i)
-                total += link.mass * (pose.position + pose.rotation @ constant(link.com))
+                position, turn = self.chain.link_place(i)
+                total += link.mass * (position + turn @ constant(link.com))
         return total / self.mass
 
     def tool(self) -> ca.SX:
         """The end effector's frame (3) [m]."""
-        return self.chain.frame_pose(self.robot.tree.frames[self.robot.tool]).position
+        return self.chain.frame_place(self.robot.tree.frames[self.robot.tool])[0]
 
     def load(
         self,

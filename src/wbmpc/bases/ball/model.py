@@ -170,7 +170,7 @@ class BallBase:
         base = Frame(4, np.zeros(3), np.eye(3))
         _, omega = chain.frame_velocity(base, rates, ca.SX(3, 1), ca.SX(3, 1))
         spin = ca.vertcat(-v[1] / self.radius, v[0] / self.radius, ca.SX(1, 1))
-        rotation = chain.link_pose(4).rotation
+        _, rotation = chain.link_place(4)
         return ca.DM(self.wheel_torque_map().T) @ (rotation.T @ (spin - omega))
 
     # ------------------------------------------------------------------ dynamics
