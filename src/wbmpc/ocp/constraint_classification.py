@@ -316,7 +316,7 @@ def _rows_in(jacobian: ca.Sparsity, columns: slice) -> np.ndarray:
 
 
 def row_scales(jacobian: ca.SX) -> np.ndarray:
-    """For every row of a Jacobian by state and input the length of its gradient, where that is far from 1 everywhere (a thousandth, a thousand); else 1.
+    """For every row of a Jacobian by state and input its length, where that is far from 1 everywhere (a thousandth, a thousand); else 1.
 
     Rows in unlucky units (mm², GPa) are divided by it: every tolerance of the solver is absolute. A gradient that is not constant
     is evaluated at a few points, and counts with its power of ten.

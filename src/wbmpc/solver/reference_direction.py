@@ -141,7 +141,9 @@ class InterpretedDirections:
             h = ws.grid[k + 1] - ws.grid[k]
             violation += np.abs(self.step(x[k], u[k], k)[0] - x[k + 1]).sum()
             arguments = (x[k], u[k], self._p(k), ws.w)
-            cost += h * (self.values["cost"](*arguments)[0].item() + barrier(self.path, np.concatenate([x[k], u[k]]))[0])
+            cost += h * (
+                self.values["cost"](*arguments)[0].item() + barrier(self.path, np.concatenate([x[k], u[k]]))[0]
+            )
             exact = self.problem.softness <= MIN_SOFTNESS
             violation += np.abs(self.values["equality"](*arguments)[0].ravel()[exact]).sum()
             more, broken = self.own[k].merit(self._rows(k, x[k], u[k]), alpha, self.mu)
