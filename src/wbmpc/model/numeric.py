@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -53,9 +54,9 @@ class Numeric:
             own.buffer.set_arg(i, memoryview(place))
         for i in range(f.n_out()):
             form = f.sparsity_out(i)
-            place = np.zeros(form.nnz())
-            own.buffer.set_res(i, memoryview(place))
-            whole = place.reshape(form.shape, order="F") if form.is_dense() else place
+            nonzeros: Any = np.zeros(form.nnz())
+            own.buffer.set_res(i, memoryview(nonzeros))
+            whole = nonzeros.reshape(form.shape, order="F") if form.is_dense() else nonzeros
             entries = None if form.is_dense() else (form.shape, np.array(form.get_triplet(), int))
             own.found.append((whole, entries))
 

@@ -156,7 +156,7 @@ def _lean_stiffness(robot: RobotModel, home: Array) -> Array:
     return np.array([(weight(s) - weight(-s)) / 2e-4 for s in steps]).T
 
 
-def _functions(robot: RobotModel) -> dict[str, ca.Function]:
+def _functions(robot: RobotModel) -> dict[str, Numeric]:
     n, m = robot.base.nq, robot.input.size
     x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", m)
     q, v = x[:n], x[n:]
