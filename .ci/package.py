@@ -14,7 +14,7 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-#: What is run, in seconds: tests that read documents, examples, robots, benchmarks, scripts and settings of the project, or that go through
+#: What is run, in seconds: tests that read documents, examples, benchmarks, scripts and settings of the project, or that go through
 #: all of the tree. All others are those of the commit (:func:`check_source`), where they run anyhow, and read nothing but the package.
 TESTS = (
     "tests/test_public_api.py::test_the_public_names_and_signatures_are_those_of_the_file",
