@@ -388,7 +388,7 @@ def test_a_command_that_ends_before_a_dropped_signal_acts_was_interrupted(
     def last(*_: object, **__: object) -> None:
         exec(dropping("trimesh/nsphere.py", tmp_path), {"signal": signal, "number": number})
 
-    monkeypatch.setattr("wbmpc.cli.app", last)
+    monkeypatch.setattr("wbmpc.cli._command_line", lambda: last)
     assert main(["list"]) == status
     assert capsys.readouterr().err == "wbmpc: interrupted\n"
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0

@@ -38,13 +38,7 @@ def quaternion_multiply(a: Any, b: Any) -> Any:
     like = _symbolic(a, b)
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.ndim == b.ndim == 1:
         return np.array(_product(a.tolist(), b.tolist()))  # one by one, Python's own numbers are several times as fast
-    return _stack(
-        like,
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
+    return _stack(like, *_product(*([q[i] for i in range(4)] for q in (a, b))))
 
 
 def quaternion_conjugate(q: Any) -> Any:
@@ -220,8 +214,8 @@ def _turned(q: list[float], x: float, y: float, z: float) -> tuple[float, float,
     )
 
 
-def _product(a: list[float], b: list[float]) -> tuple[float, float, float, float]:
-    """The Hamilton product of two quaternions."""
+def _product(a: list[Any], b: list[Any]) -> tuple[Any, Any, Any, Any]:
+    """The Hamilton product of two quaternions, of numbers or expressions."""
     return (
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],

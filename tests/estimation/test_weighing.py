@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from effort import draws
 from toys import robot
 from wbmpc.bases import base_type
+from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.configuration import configure
 from wbmpc.default_problem import carry
@@ -22,9 +23,9 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.registry import load
 from wbmpc.robots import load_spec
-from wbmpc.settings import WheelLoadSettings
+from wbmpc.settings import MpcSettings, WheelLoadSettings
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.tasks.settings import TaskSettings
+from wbmpc.solver import SQP
 
 NAMES = ("swerve-ur10", "differential-ur10", "pr2")
 
@@ -136,9 +137,16 @@ def test_an_arm_without_limits_of_torque_is_an_error_that_names_the_joint() -> N
         ArmScale(without)
 
 
+class Interpreted(MpcSettings):
+    """Nothing is solved here: code would be compiled for nothing."""
+
+    def solver(self) -> SQP:
+        return replace(super().solver(), backend="interpreted")
+
+
 def test_plans_count_with_a_new_mass_and_keep_what_else_their_references_say() -> None:
     stability = WheelLoadSettings(friction=0.5, payload=1.0, payload_center=(0.0, 0.0, 0.1))
-    _, mpc = TaskSettings(robot="swerve-ur10", stability=stability).prepare()
+    mpc = swerve_mpc(robot("swerve-ur10"), Interpreted(), SwerveCost(), stability=stability)
     push = [3.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     values = np.array([[*push, 1.0, 0.0, 0.0, 0.1], [*np.zeros(6), 1.0, 0.0, 0.0, 0.1]])
     mpc.reference["stability"] = Reference(np.array([0.0, 1.0]), values)

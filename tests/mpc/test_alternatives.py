@@ -44,9 +44,9 @@ def head_on(driving: Path, folder: Path, half: float, *more: str) -> RunResult:
 
 
 def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: Path) -> None:
-    alone = head_on(driving, tmp_path, 0.6, "when_stuck=wait")
+    alone = head_on(driving, tmp_path, 0.6, "when_stuck=wait", "patience=2")
     assert alone.metrics["passed"].value == 0.0 and alone.metrics["goal_missed"].value > 1.0
-    result = head_on(driving, tmp_path, 0.6, "patience=34")
+    result = head_on(driving, tmp_path, 0.6, "patience=12")
     m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
     assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
     assert m["obstacle_clearance_min"].value > margin - 0.01

@@ -298,7 +298,7 @@ def test_the_plan_itself_is_not_cut(several: MPC) -> None:
 def test_rows_travel_with_the_policy(several: MPC) -> None:
     policy = several.update(Observation(0.0, START))
     sizes = Sizes.of(several.ocp)
-    assert sizes.rows == 3
+    assert sizes.rows == 3 and sizes == Sizes.of(several.ocp, several.solver.problem)
     box = Mailbox(sizes.policy())
     box.write(
         observed=0.0, valid_from=0.0, ready=0.0, observation=1, limit_violation=0.0, times=policy.times, x=policy.x, u=policy.u,

@@ -346,3 +346,19 @@ def test_boxes_and_schedules_that_mean_nothing() -> None:
         sets.Box([0.0, 2.0], [1.0, 1.0])
     with pytest.raises(InputError, match="modes must be Mode objects"):
         ModeSchedule(["closed", "open"], [1.0])  # type: ignore[arg-type]
+
+
+def test_a_term_is_expressed_once_for_all_that_asks_for_it() -> None:
+    """Values at the path and at the end, derivatives, rows: of one expression. Another term of that name has its own."""
+    asked: list[str] = []
+
+    def residual(s: residuals.Symbols) -> ca.SX:
+        asked.append("residual")
+        return s.x
+
+    ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u)), 1.0, 4)
+    ocp.add(Cost("state", Rows(2, residual), 1.0, at="path+terminal"))
+    t = Transcription(ocp)
+    assert len(t.values) + len(t.derivatives) > 10 and asked == ["residual"]
+    other = Cost("state", Rows(2, lambda s: 2.0 * s.x), 1.0)
+    assert ca.is_equal(t.residual(other), 2.0 * t.x, 1) and ca.is_equal(t.residual(ocp.term("state")), t.x, 1)

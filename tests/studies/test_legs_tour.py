@@ -76,6 +76,12 @@ def test_no_random_stance_stands_better(stood) -> None:  # type: ignore[no-untyp
     assert standing.margin(narrow) > np.median([standing.margin(leg) for leg in within])
 
 
+def test_a_stance_that_is_changed_is_not_what_the_next_one_gets(stood) -> None:  # type: ignore[no-untyped-def]
+    standing, wide, _ = stood
+    best_stance(standing.robot)[:] = 9.0
+    assert (best_stance(standing.robot) == wide).all() and np.abs(wide).max() < 4.0
+
+
 def test_the_narrow_stance_is_narrow_and_its_wheels_are_apart(stood) -> None:  # type: ignore[no-untyped-def]
     standing, _, narrow = stood
     wheels = standing.put(at_home(standing.robot, narrow))[0]

@@ -17,7 +17,7 @@ from wbmpc.studies.minniti2019.door_problem import DoorScheme
 from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
 from wbmpc.studies.minniti2019.force import MISMATCH_TIME, ForceMonitor
 
-SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=7.0, final_hold_time=5.0)
+SHORT = RezeroDoorSettings(forces=(16.0,), settle_time=1.0, timeout=7.0, final_hold_time=4.0)
 #: With a mass that the controller does not know: 1 kg felled the robot after the release when the arm had no posture to go back to.
 LOADED = SHORT.model_copy(update={"payload": 1.0})
 

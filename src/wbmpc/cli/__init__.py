@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -265,6 +265,12 @@ for _info in (*app.registered_commands, *log.registered_commands, *ros2.register
     _info.callback = _interruptible(_info.callback)
 
 
+@cache
+def _command_line() -> Any:
+    """The commands as typer makes them of all signatures: once for a process that calls :func:`main` often."""
+    return typer.main.get_command(app)
+
+
 def _complain(error: Exception, debug: bool) -> None:
     """One message on standard error, whatever the message looked like; the traceback only on request."""
     if debug:
@@ -315,7 +321,8 @@ def _run(
     try:
         with logged(verbose, debug), silent(quiet and "--json" not in arguments):
             _reject_empty(arguments)
-            status = app(args=arguments, prog_name="wbmpc", standalone_mode=False, obj=_Session(registry, quiet))
+            obj = _Session(registry, quiet)
+            status = _command_line()(args=arguments, prog_name="wbmpc", standalone_mode=False, obj=obj)
             act_on_waiting()
         return status if isinstance(status, int) else COMPLETED
     except RunAborted as error:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, NotFinite
+from wbmpc.model.numeric import Numeric
 
 Array = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ class OffsetObserver:
             raise InputError(f"offset observer: the time h since the last update must be finite, at least 0 s, got {h}")
         if not (np.isfinite(y).all() and np.isfinite(u).all()):
             raise NotFinite("offset observer: the measurement and the input must be finite")
-        mean, slope = (np.array(v) for v in self._step(self.mean, u, self.mode, h, self._known))
+        mean, slope = self._step(self.mean, u, self.mode, h, self._known)
         p = slope @ self.covariance @ slope.T + np.diag(self._walk * h)
         chosen = p[:, self.measured]
         gain = np.linalg.solve(chosen[self.measured] + np.diag(self.noise), chosen.T).T
@@ -120,7 +121,7 @@ class OffsetObserver:
         self.covariance = rest @ p @ rest.T + gain @ np.diag(self.noise) @ gain.T  # Joseph's form stays positive
         return self.offset
 
-    def _functions(self) -> tuple[ca.Function, ca.Function]:
+    def _functions(self) -> tuple[Numeric, Numeric]:
         """(z, u, m, h, w) to the next z = [x; d] and its Jacobian (midpoint rule); (z, u, m, w) to ∂ẋ/∂z.
 
         w: all parameters, of which those in d's place do not count.
@@ -134,12 +135,13 @@ class OffsetObserver:
         rate = lambda x: ca.SX(d(x, u, w, m))
         after = ca.vertcat(z[:nx] + h * rate(z[:nx] + 0.5 * h * rate(z[:nx])), z[nx:])
         step = ca.Function("step", [z, u, m, h, known], [after, ca.densify(ca.jacobian(after, z))])
-        return step, ca.Function("rates", [z, u, m, known], [ca.densify(ca.jacobian(rate(z[:nx]), z))])
+        rates = ca.Function("rates", [z, u, m, known], [ca.densify(ca.jacobian(rate(z[:nx]), z))])
+        return Numeric(step), Numeric(rates)
 
     def _reject_unobservable(self, u: Array) -> None:
         """The largest subspace of [x; d] that the measurements never see must not have a part in d."""
         nx, size = self.dynamics.state.size, self.mean.size
-        flow = np.vstack([np.array(self._rates(self.mean, u, self.mode, self._known)), np.zeros((size - nx, size))])
+        flow = np.vstack([self._rates(self.mean, u, self.mode, self._known)[0], np.zeros((size - nx, size))])
         unseen = np.delete(np.eye(size), self.measured, axis=1)
         while unseen.shape[1]:
             leaving = flow @ unseen

@@ -101,9 +101,9 @@ def _holding_torques(robot: RobotModel, center: Array) -> ca.Function:
     links = ca.SX(0)
     for i, link in enumerate(chain.links):
         if link.mass > 0.0:
-            pose = chain.link_pose(i)
-            links += link.mass * ca.dot(a, pose.position + pose.rotation @ constant(link.com))
-    tool = chain.frame_pose(robot.tree.frames[robot.tool])
-    held = ca.dot(a, tool.position + tool.rotation @ constant(center))
+            position, turn = chain.link_place(i)
+            links += link.mass * ca.dot(a, position + turn @ constant(link.com))
+    position, turn = chain.frame_place(robot.tree.frames[robot.tool])
+    held = ca.dot(a, position + turn @ constant(center))
     arm = x[robot.state["arm"].start : robot.state["arm"].stop]
     return ca.Function("holding", [x, a], [ca.densify(ca.gradient(v, arm)) for v in (links, held)])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -23,6 +24,13 @@ SX = ca.SX
 def constant(value: ArrayLike) -> SX:
     """A numeric array as a sparse SX; rounding errors about 0 and ±1 are removed, since both make expressions shorter."""
     array = np.asarray(value, float)
+    return SX(_constant(array.tobytes(), array.shape))
+
+
+@lru_cache(4096)
+def _constant(content: bytes, shape: tuple[int, ...]) -> SX:
+    """The same of an array's memory: a robot's terms ask for its links' again and again."""
+    array = np.frombuffer(content).reshape(shape)
     whole = np.round(array)
     return SX(ca.sparsify(ca.DM(np.where((np.abs(array - whole) < 1e-14) & (np.abs(whole) <= 1), whole, array))))
 
@@ -97,7 +105,8 @@ class Chain:
         self._leader = {i: _joint(links, k.follows.leader) for i, k in enumerate(links) if k.follows is not None}
         self.values = self._with_followers(values, 1.0)
         self.places = [self._place(i) for i in range(len(links))]
-        self._cache: dict[int, FramePose] = {}
+        self._placed: dict[int, tuple[SX, SX]] = {}
+        self._turned: dict[int, SX] = {}
 
     def _with_followers(self, given: dict[int, SX], offsets: float = 0.0) -> dict[int, SX]:
         """Also of coupled joints: values (``offsets`` 1) or rates of those whose leader has one."""
@@ -120,31 +129,46 @@ class Chain:
     # ------------------------------------------------------------------ kinematics
     def link_pose(self, i: int) -> FramePose:
         """Pose of link i in the world."""
-        if i not in self._cache:
-            link, place = self.links[i], self.places[i]
+        position, rotation = self.link_place(i)
+        return FramePose(position, self._quaternion(i), rotation)
+
+    def link_place(self, i: int) -> tuple[SX, SX]:
+        """Position (3) [m] and rotation matrix (3, 3) of link i in the world: without its quaternion, half the work."""
+        if i not in self._placed:
+            place, parent = self.places[i], self.links[i].parent
+            if parent >= 0:
+                at, turn = self.link_place(parent)
+                self._placed[i] = at + turn @ place.offset, turn @ place.rotation
+            elif self.root is None:
+                self._placed[i] = place.offset, place.rotation
+            else:
+                up = self.root
+                self._placed[i] = up.position + up.rotation @ place.offset, up.rotation @ place.rotation
+        return self._placed[i]
+
+    def _quaternion(self, i: int) -> SX:
+        if i not in self._turned:
+            link = self.links[i]
             turn = constant(lie.rotation_to_quaternion(link.rotation))
             if i in self.values and link.kind == "revolute":
                 turn = lie.quaternion_multiply(turn, ca.sparsify(lie.quaternion_about(link.axis, self.values[i])))
-            up = self.root if link.parent < 0 else self.link_pose(link.parent)
-            if up is None:
-                self._cache[i] = FramePose(place.offset, turn, place.rotation)
-            else:
+            if link.parent >= 0 or self.root is not None:
+                up = self.root.quaternion if link.parent < 0 and self.root else self._quaternion(link.parent)
                 same = np.array_equal(link.rotation, np.eye(3)) and link.kind != "revolute"
-                quaternion = up.quaternion if same else lie.quaternion_multiply(up.quaternion, turn)
-                self._cache[i] = FramePose(
-                    up.position + up.rotation @ place.offset, quaternion, up.rotation @ place.rotation
-                )
-        return self._cache[i]
+                turn = up if same else lie.quaternion_multiply(up, turn)
+            self._turned[i] = turn
+        return self._turned[i]
 
     def frame_pose(self, frame: Frame) -> FramePose:
         """Pose of a frame fixed to a link."""
-        link = self.link_pose(frame.link)
-        quaternion = lie.quaternion_multiply(link.quaternion, constant(lie.rotation_to_quaternion(frame.rotation)))
-        return FramePose(
-            link.position + link.rotation @ constant(frame.position),
-            quaternion,
-            link.rotation @ constant(frame.rotation),
-        )
+        turn = constant(lie.rotation_to_quaternion(frame.rotation))
+        position, rotation = self.frame_place(frame)
+        return FramePose(position, lie.quaternion_multiply(self._quaternion(frame.link), turn), rotation)
+
+    def frame_place(self, frame: Frame) -> tuple[SX, SX]:
+        """Position (3) [m] and rotation matrix (3, 3) of a frame fixed to a link."""
+        position, rotation = self.link_place(frame.link)
+        return position + rotation @ constant(frame.position), rotation @ constant(frame.rotation)
 
     def frame_velocity(self, frame: Frame, rates: dict[int, SX], linear: SX, angular: SX) -> tuple[SX, SX]:
         """(linear, angular) velocity in world axes; the root's outer frame moves with a twist in its own axes."""
@@ -157,7 +181,7 @@ class Chain:
                 w = w + place.axis * rates[i]
             elif i in rates:
                 v = v + place.axis * rates[i]
-        rotation = self.link_pose(frame.link).rotation
+        rotation = self.link_place(frame.link)[1]
         return rotation @ (v + cross(w, constant(frame.position))), rotation @ w
 
     def _path(self, i: int) -> list[int]:

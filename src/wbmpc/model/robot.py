@@ -16,6 +16,7 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.joints import Limits
 from wbmpc.model.kinematics import FramePose
 from wbmpc.model.layout import Layout
+from wbmpc.model.numeric import Numeric
 from wbmpc.robots import RobotDescription, load_description, load_spec
 
 Array = NDArray[np.float64]
@@ -158,10 +159,17 @@ class RobotModel:
     def _functions(self) -> dict[str, ca.Function]:
         return {}
 
+    @cached_property
+    def _numeric(self) -> dict[str, Numeric]:
+        return {}
+
     def pose(self, x: ArrayLike, frame: str | None = None) -> tuple[Array, Array]:
         """Position (3) [m] and quaternion (4) of a frame (the tool when left out) at a numeric state x (nx)."""
-        p, q = self._pose_of(frame)(real_numbers("state", x))
-        return np.array(p).ravel(), np.array(q).ravel()
+        frame = frame or self.tool
+        if frame not in self._numeric:
+            self._numeric[frame] = Numeric(self._pose_of(frame))
+        p, q = self._numeric[frame](real_numbers("state", x))
+        return p.ravel(), q.ravel()
 
     def _pose_of(self, frame: str | None) -> ca.Function:
         """Position and quaternion of a frame (the tool: None) by the state."""

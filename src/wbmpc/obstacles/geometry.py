@@ -53,8 +53,7 @@ def frame_function(robot: RobotModel, frames: Sequence[Frame]) -> ca.Function:
     """Of a state (nx) the poses of frames: position (3) [m] and rotation by rows (9), one frame after the other."""
     x = ca.SX.sym("x", robot.state.size)
     chain = robot.base.chain(x)
-    poses = [chain.frame_pose(f) for f in frames]
-    parts = [ca.vertcat(p.position, ca.vec(p.rotation.T)) for p in poses]
+    parts = [ca.vertcat(position, ca.vec(turn.T)) for position, turn in map(chain.frame_place, frames)]
     return ca.Function("frames", [x], [ca.cse(ca.densify(ca.vertcat(*parts)))])
 
 

@@ -72,10 +72,10 @@ class Clearance:
     def __call__(self, s: Symbols) -> ca.SX:
         chain, out = self.robot.base.chain(s.x), []
         for i, name in enumerate(self.frames or ()):
-            pose = chain.frame_pose(self.robot.tree.frames[name])
+            position, turn = chain.frame_place(self.robot.tree.frames[name])
             for k in range(i * self.slots, (i + 1) * self.slots):
                 row = s.reference[WIDTH * k : WIDTH * (k + 1)]
-                gap = ca.dot(row[:3], pose.position + pose.rotation @ row[3:6]) - row[6]
+                gap = ca.dot(row[:3], position + turn @ row[3:6]) - row[6]
                 out.append(gap + _absent(row))
         return ca.vertcat(*out)
 

@@ -121,7 +121,7 @@ def equality_rows(
         rho = term.penalty.rho if isinstance(term.penalty, AugmentedLagrangian) else EQUALITY_RHO
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
-        scales = row_scales(r, z)
+        scales = row_scales(ca.jacobian(r, z))
         for i in range(r.shape[0]):
             row = switch * (r[i] if scales[i] == 1.0 else r[i] / scales[i])
             if term.at != "terminal" and with_input[i] and not soft:
@@ -184,19 +184,21 @@ def _sides(term: Constraint, rows: int) -> list[_Side]:
     return low + high
 
 
-def _becomes_equality(term: Constraint, with_input: np.ndarray, with_state: np.ndarray) -> np.ndarray:
+def _becomes_equality(term: Constraint, r: ca.SX, x: ca.SX, u: ca.SX) -> np.ndarray:
     """For every row, whether it is hard, without slack, and fixed by its bounds: a barrier has no room between them."""
-    if not (term.hard and isinstance(term.set, Box)):
-        return np.zeros(with_input.size, bool)
-    strict = np.isinf(term.slack) | (with_input & ~with_state)
-    return np.asarray(fixed(*term.set.bounds(with_input.size)) & strict)
+    held = np.zeros(r.shape[0], bool)
+    if term.hard and isinstance(term.set, Box):
+        held = fixed(*term.set.bounds(r.shape[0]))
+    if not held.any() or np.isinf(term.slack):
+        return held
+    return np.asarray(held & depends(r, u) & ~depends(r, x))
 
 
 def _fixed_part(
     term: Constraint, r: ca.SX, switch: ca.SX | float, x: ca.SX, u: ca.SX, path: RowGroup
 ) -> tuple[Constraint, ca.SX, ca.SX | float, list[str]]:
     """The rows of an inequality that are equalities: (term, residual minus its value, switch, names)."""
-    chosen = np.flatnonzero(_becomes_equality(term, depends(r, u), depends(r, x)))
+    chosen = np.flatnonzero(_becomes_equality(term, r, x, u))
     if not chosen.size:
         return term, ca.SX(0, 1), switch, []
     assert isinstance(term.set, Box)
@@ -214,10 +216,12 @@ def inequality_rows(
     """Sort the rows of inequality terms, given as (term, residual, switch)."""
     z = ca.vertcat(x, u)
     for term, r, switch in terms:
-        sides = _sides(term, r.shape[0])
-        selection = None if term.modes is not None else single_variables(r, z)
-        with_input, with_state = depends(r, u), depends(r, x)
-        taken = _becomes_equality(term, with_input, with_state)
+        sides, jacobian = _sides(term, r.shape[0]), ca.jacobian(r, z)
+        selection = None if term.modes is not None else single_variables(r, z, jacobian)
+        with_state, with_input = (
+            _rows_in(jacobian.sparsity(), part) for part in (slice(x.shape[0]), slice(x.shape[0], None))
+        )
+        taken = _becomes_equality(term, r, x, u)
         sides = [s for s in sides if not taken[s.i]]
         if term.at == "terminal" and with_input.any():
             raise InputError(f"constraint '{term.name}': at the end of the horizon there is no input to depend on")
@@ -227,7 +231,7 @@ def inequality_rows(
             if not applies or not chosen:
                 continue
             if term.hard or isinstance(term.penalty, AugmentedLagrangian):
-                _own_rows(term, r, switch, chosen, selection, with_input, with_state, group, z)
+                _own_rows(term, r, switch, chosen, selection, with_input, with_state, group, jacobian)
             else:
                 _barriers(term, r, chosen, selection, group)
     for group in (path, end):
@@ -258,16 +262,16 @@ def _own_rows(
     with_input: np.ndarray,
     with_state: np.ndarray,
     group: RowGroup,
-    z: ca.SX,
+    jacobian: ca.SX,
 ) -> None:
     multiplier = isinstance(term.penalty, AugmentedLagrangian)
     held = not isinstance(term.residual, FollowsLastInput)
     kind = Kind.MULTIPLIER if multiplier else Kind.HARD
     widths = _paired_widths(sides, selection)
-    scales = row_scales(r, z)
+    scales = row_scales(jacobian) if multiplier or 1.0 in widths else None
     for s, span in zip(sides, widths, strict=True):
         # hard rows in units of their range; without one, and with multipliers, of the variables
-        width = float(scales[s.i]) if multiplier or span == 1.0 else span
+        width = span if scales is None or not (multiplier or span == 1.0) else float(scales[s.i])
         # rows of inputs alone can always be held, but for those that move with the last command
         slack = np.inf if held and with_input[s.i] and not with_state[s.i] else term.slack * width / span
         penalty = term.penalty.rho * width**2 if isinstance(term.penalty, AugmentedLagrangian) else slack
@@ -301,19 +305,22 @@ def _paired_widths(sides: list[_Side], selection: list[tuple[int, float, float]]
 
 def depends(r: ca.SX, u: ca.SX) -> np.ndarray:
     """For every row, whether it depends on the input."""
-    found = np.zeros(r.shape[0], bool)
-    if u.shape[0]:
-        found[list(set(ca.jacobian(r, u).sparsity().get_triplet()[0]))] = True
-    return found
+    return _rows_in(ca.jacobian_sparsity(r, u), slice(None))
 
 
-def row_scales(r: ca.SX, z: ca.SX) -> np.ndarray:
-    """For every row the length of its gradient, where that is far from 1 everywhere (a thousandth, a thousand); else 1.
+def _rows_in(jacobian: ca.Sparsity, columns: slice) -> np.ndarray:
+    """For every row, whether it has an entry in some columns."""
+    found = np.zeros(jacobian.shape, bool)
+    found[tuple(np.array(jacobian.get_triplet(), int))] = True
+    return np.asarray(found[:, columns].any(axis=1))
+
+
+def row_scales(jacobian: ca.SX) -> np.ndarray:
+    """For every row of a Jacobian by state and input its length, where that is far from 1 everywhere (a thousandth, a thousand); else 1.
 
     Rows in unlucky units (mm², GPa) are divided by it: every tolerance of the solver is absolute. A gradient that is not constant
     is evaluated at a few points, and counts with its power of ten.
     """
-    jacobian = ca.jacobian(r, z)
     lengths = _gradient_lengths(jacobian)
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.log10(lengths)
@@ -351,9 +358,10 @@ def nonlinear_equalities(equality: ca.SX, group: RowGroup, u: ca.SX) -> bool:
     return bool(ca.jacobian(ca.vec(slopes), u).nnz())
 
 
-def single_variables(r: ca.SX, z: ca.SX) -> list[tuple[int, float, float]] | None:
-    """(index, scale, offset) of every row if each is an affine function of one state or input, else None."""
-    jacobian = ca.jacobian(r, z)
+def single_variables(r: ca.SX, z: ca.SX, jacobian: ca.SX | None = None) -> list[tuple[int, float, float]] | None:
+    """(index, scale, offset) of every row if each is an affine function of one state or input, else None; ``jacobian``: of r by z, where
+    there is one already."""
+    jacobian = ca.jacobian(r, z) if jacobian is None else jacobian
     if ca.symvar(jacobian):
         return None
     dense = np.array(ca.DM(ca.densify(jacobian)))

@@ -15,8 +15,8 @@ def input_bounds(group: RowGroup, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.nd
     nx, z = x.shape[0], ca.vertcat(x, u)
     hard = [(r.variable, r.sign, r.offset) for r in group.boxes if r.kind is Kind.HARD] + group.fixed
     for expression, row in zip(group.expressions, group.general, strict=True):
-        found = single_variables(expression, z) if row.kind is Kind.HARD else None
-        hard += found or []
+        if row.kind is Kind.HARD and not ca.depends_on(expression, x):
+            hard += single_variables(expression, z) or []
     lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
     for index, slope, offset in hard:  # slope z + offset ≥ 0
         i, bound = index - nx, -offset / slope
@@ -47,14 +47,14 @@ class InputPlanes(NamedTuple):
         return bool(self.by_node.any() or self.by_constant.any())
 
 
-def input_planes(group: RowGroup, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[ca.SX]) -> InputPlanes:
+def input_planes(group: RowGroup, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[ca.SX]) -> InputPlanes:
     """The rows that are straight in the inputs and in the parameters p and w, and depend on nothing else but ``switches``, elements
     of p, one for each term with modes."""
     every = ca.vertcat(u, p, w)
     ends = np.cumsum([u.shape[0], p.shape[0], w.shape[0]])
     found: list[tuple[np.ndarray, float, int]] = []
     for h, row in zip(group.expressions, group.general, strict=True):
-        if row.kind is not Kind.HARD or row.state_only:
+        if row.kind is not Kind.HARD or row.state_only or ca.depends_on(h, x):
             continue
         own, straight = _in_its_mode(h, every, switches)
         if straight is None:

@@ -91,6 +91,7 @@ class Transcription:
         self.h = ca.SX.sym("h")
         self.z = ca.vertcat(self.x, self.u)
         self.path, self.end = RowGroup(), RowGroup()
+        self._residuals: dict[str, tuple[Cost | Constraint, ca.SX]] = {}
         sort = lambda terms: [(t, self.residual(t), self._switch(t.name)) for t in terms]
         inequalities = sort(ocp.inequalities)
         self.equalities = equality_rows(sort(ocp.equalities), inequalities, self.x, self.u, self.path, self.end)
@@ -162,6 +163,11 @@ class Transcription:
     # ------------------------------------------------------------------ terms
     def residual(self, term: Cost | Constraint) -> ca.SX:
         """The term's residual in the problem's symbols, (rows, 1)."""
+        if self._residuals.get(term.name, (None,))[0] is not term:
+            self._residuals[term.name] = term, self._expressed(term)
+        return self._residuals[term.name][1]
+
+    def _expressed(self, term: Cost | Constraint) -> ca.SX:
         r = ca.SX(term.residual(self.symbols(term.name)))
         if r.shape != (term.residual.size, 1):
             raise InputError(
@@ -186,7 +192,7 @@ class Transcription:
     def input_planes(self) -> InputPlanes:
         """Straight hard rows of inputs alone beyond those bounds: of several inputs, and of single ones in some modes only or
         around a reference."""
-        return input_planes(self.path, self.u, self.p, self.w, self._switch_symbols())
+        return input_planes(self.path, self.x, self.u, self.p, self.w, self._switch_symbols())
 
     def unclipped_input_rows(self) -> list[str]:
         """Names of hard rows of inputs alone that are not among those bounds and rows."""

@@ -95,7 +95,8 @@ def _leave_the_world(spec: mujoco.MjSpec, base: str) -> None:
 
 def _reset_defaults(spec: mujoco.MjSpec, fresh: mujoco.MjSpec) -> None:
     """The file's elements have taken what its defaults say; what plants add (floor, tires, drives, a door) would take it too."""
-    for default in [spec.default, *(body.classname for body in spec.bodies)]:
+    classes = {default.name: default for default in [spec.default, *(body.classname for body in spec.bodies)]}
+    for default in classes.values():
         for kind in ("geom", "joint", "actuator", "site"):
             copy_values(getattr(fresh.default, kind), getattr(default, kind))
 

@@ -84,7 +84,7 @@ class RealTimeRunner(StopControl):
         self.remote, self.setup = not hasattr(mpc, "solver"), setup
         if self.remote and (sizes is None or isinstance(self.clock, VirtualClock)):
             raise InputError("runner: an MPC in another process needs 'sizes' and the wall clock")
-        size = sizes or Sizes.of(mpc.solver.ocp)  # type: ignore[union-attr]
+        size = sizes or Sizes.of(mpc.solver.ocp, mpc.solver.problem)  # type: ignore[union-attr]
         mailbox, board = (Mailbox.shared, Board.shared) if self.remote else (Mailbox, Board)
         self.observations, self.policies = mailbox(size.observation()), mailbox(size.policy())
         self.board, self.worker_commands = board(NUMBERS, RECORDS, self.settings.records), board(WORKER_COMMANDS)

@@ -167,8 +167,9 @@ class Sizes:
     moving: bool = False
 
     @classmethod
-    def of(cls, ocp: OptimalControlProblem) -> Sizes:
-        """The sizes of a problem, of ``mpc.solver.ocp`` where the solver refines the grid (:class:`wbmpc.SLQ`)."""
+    def of(cls, ocp: OptimalControlProblem, transcription: Transcription | None = None) -> Sizes:
+        """The sizes of a problem, of ``mpc.solver.ocp`` where the solver refines the grid (:class:`wbmpc.SLQ`); ``transcription``: its
+        own, where there is one already (``mpc.solver.problem``)."""
         d, hard = ocp.dynamics, any(t.hard for t in ocp.inequalities)
         if isinstance(d, WithPath):
             raise InputError(
@@ -177,7 +178,7 @@ class Sizes:
         own = (d.state.size, d.input.size, ocp.intervals, d.parameters.size)
         if not hard:
             return cls(*own)
-        planes = Transcription(ocp).input_planes()
+        planes = (transcription or Transcription(ocp)).input_planes()
         return cls(*own, planes.offset.size, planes.move)
 
     def observation(self) -> Fields:

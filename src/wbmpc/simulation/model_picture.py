@@ -8,6 +8,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
@@ -22,13 +23,13 @@ class ModelPicture:
         self.robot, self._edit = robot, edit
         s = ca.SX.sym("x", robot.state.size)
         root = robot.base.root(s)
-        self._root = ca.Function("root", [s], [root.position, root.quaternion])
+        self._root = Numeric(ca.Function("root", [s], [root.position, root.quaternion]))
         self._shown: list[tuple[int, int]] = []
 
     def base(self, x: Array) -> Array:
         """Pose (7) of the base at a state (nx), in the model's world."""
         position, quaternion = self._root(x)
-        return np.concatenate([np.array(position).ravel(), np.array(quaternion).ravel()])
+        return np.concatenate([position.ravel(), quaternion.ravel()])
 
     @cached_property
     def world(self) -> World:

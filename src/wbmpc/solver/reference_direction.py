@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.model.numeric import Numeric
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.reference_inequalities import RowState
@@ -74,7 +75,9 @@ class InterpretedDirections:
             rows_h=np.zeros((n + 1, max(len(problem.path.rows), len(problem.end.rows), 1))),
         )  # fmt: skip
         self.path, self.end = box_table(problem.path_boxes), box_table(problem.terminal_boxes)
-        self.values, self.derivatives = problem.values, problem.derivatives
+        self.values, self.derivatives = (
+            {name: Numeric(f) for name, f in functions.items()} for functions in (problem.values, problem.derivatives)
+        )
         self.own = [RowState(problem.path if k < n else problem.end, k == 0) for k in range(n + 1)]
         self.has_rows = any(r.kind.size for r in self.own)
         self.mu, self.shift, self.policy, self.hold = 0.0, 0.0, False, 0
@@ -86,7 +89,7 @@ class InterpretedDirections:
 
     def _f(self, x: np.ndarray, u: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
         f, j = self.derivatives["dynamics_jacobian"](x, u, self._p(k), self.ws.w)
-        return np.array(f).ravel(), np.array(j)
+        return f.ravel(), j
 
     def _normalize(self, x: np.ndarray, j: np.ndarray | None = None) -> None:
         for start in self.problem.ocp.dynamics.unit_quaternions:
@@ -128,19 +131,21 @@ class InterpretedDirections:
         """Values of node k's rows."""
         general = self.values["rows"](x, u, self._p(k), self.ws.w) if k < len(self.ws.u) else None
         general = self.values["end_rows"](x, self._p(k), self.ws.w) if general is None else general
-        return self.own[k].values(np.concatenate([x, u]), general)
+        return self.own[k].values(np.concatenate([x, u]), general[0])
 
     def _merit(self, x: np.ndarray, u: np.ndarray, x0: np.ndarray, alpha: float = 0.0) -> tuple[float, float]:
         ws, n = self.ws, len(u)
         violation = np.abs(x0 - x[0]).sum()
-        cost = float(self.values["terminal"](x[n], self._p(n), ws.w)) + barrier(self.end, x[n])[0]
+        cost = self.values["terminal"](x[n], self._p(n), ws.w)[0].item() + barrier(self.end, x[n])[0]
         for k in range(n):
             h = ws.grid[k + 1] - ws.grid[k]
             violation += np.abs(self.step(x[k], u[k], k)[0] - x[k + 1]).sum()
             arguments = (x[k], u[k], self._p(k), ws.w)
-            cost += h * (float(self.values["cost"](*arguments)) + barrier(self.path, np.concatenate([x[k], u[k]]))[0])
+            cost += h * (
+                self.values["cost"](*arguments)[0].item() + barrier(self.path, np.concatenate([x[k], u[k]]))[0]
+            )
             exact = self.problem.softness <= MIN_SOFTNESS
-            violation += np.abs(np.array(self.values["equality"](*arguments)).ravel()[exact]).sum()
+            violation += np.abs(self.values["equality"](*arguments)[0].ravel()[exact]).sum()
             more, broken = self.own[k].merit(self._rows(k, x[k], u[k]), alpha, self.mu)
             cost, violation = cost + h * more, violation + h * broken
         more, broken = self.own[n].merit(self._rows(n, x[n], u[-1]), alpha, self.mu)
@@ -157,27 +162,26 @@ class InterpretedDirections:
     def _equality_values(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Rows of the recursion (N, equalities)."""
         f = self.values["equality"]
-        return np.array([np.array(f(x[k], u[k], self._p(k), self.ws.w)).ravel() for k in range(len(u))])
+        return np.array([f(x[k], u[k], self._p(k), self.ws.w)[0].ravel() for k in range(len(u))])
 
     def _node(self, k: int) -> tuple[np.ndarray, ...]:
         """a, b, gap, h, g, c, d, e of one node; then h without the rows and the gradient without them."""
         ws, nx = self.ws, self.problem.nx
         h = ws.grid[k + 1] - ws.grid[k]
         arguments = (ws.x[k], ws.u[k], self._p(k), ws.w)
-        _, g, hessian = self.derivatives["cost_quadratic"](*arguments, h)
-        upper = np.array(hessian)
+        _, g, upper = self.derivatives["cost_quadratic"](*arguments, h)
         z = np.concatenate([ws.x[k], ws.u[k]])
         _, slope, curve = barrier(self.path, z)
         full = upper + np.triu(upper, 1).T + h * np.diag(curve)
         end, ab = self.step(ws.x[k], ws.u[k], k)
-        e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](*arguments))
-        gradient = np.array(g).ravel() + h * slope
+        e, cd = self.derivatives["equality_jacobian"](*arguments)
+        gradient = g.ravel() + h * slope
         rows = self.own[k]
         rows.linearize(z, *self.derivatives["rows_jacobian"](*arguments))
         sigma, offset = rows.weights(self.mu)
         j = rows.jacobian
         if self.problem.nonlinear_input_rows:
-            full = full + curvature(self.problem, rows, arguments, h)
+            full = full + curvature(self.problem, self.derivatives["lagrangian"], rows, arguments, h)
         whole = full + h * j.T @ (sigma[:, None] * j) + self.shift * np.eye(z.size)
         pulled = gradient + h * j.T @ (sigma * offset)
         parts = (ab[:, :nx], ab[:, nx:], end - ws.x[k + 1], whole, pulled, cd[:, :nx], cd[:, nx:], e.ravel())
@@ -186,10 +190,9 @@ class InterpretedDirections:
     def _terminal(self) -> tuple[np.ndarray, ...]:
         """h, g with rows, h, g without."""
         ws, n, nx = self.ws, len(self.ws.u), self.problem.nx
-        _, g, hessian = self.derivatives["terminal_quadratic"](ws.x[n], self._p(n), ws.w)
-        upper = np.array(hessian)
+        _, g, upper = self.derivatives["terminal_quadratic"](ws.x[n], self._p(n), ws.w)
         _, slope, curve = barrier(self.end, ws.x[n])
-        full, gradient = upper + np.triu(upper, 1).T + np.diag(curve), np.array(g).ravel() + slope
+        full, gradient = upper + np.triu(upper, 1).T + np.diag(curve), g.ravel() + slope
         rows = self.own[n]
         values, jacobian = self.derivatives["end_rows_jacobian"](ws.x[n], self._p(n), ws.w)
         rows.linearize(ws.x[n], values, jacobian)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wbmpc.model.numeric import Numeric
 from wbmpc.ocp import Transcription
 
 if TYPE_CHECKING:
@@ -15,11 +16,13 @@ if TYPE_CHECKING:
 CORRECTIONS, INSIDE, MIN_SHARE = 30, 1e-6, 0.1
 
 
-def curvature(problem: Transcription, rows: RowState, arguments: tuple[np.ndarray, ...], h: float) -> np.ndarray:
+def curvature(
+    problem: Transcription, lagrangian: Numeric, rows: RowState, arguments: tuple[np.ndarray, ...], h: float
+) -> np.ndarray:
     """−h l ∇²rows by the inputs in the size of z, or zeros where that is not positive semidefinite."""
     multipliers = np.where(rows.bounds_inputs, -rows.l, 0.0)[rows.boxes :]
     nothing = np.zeros(problem.equality.shape[0])
-    upper = np.array(problem.derivatives["lagrangian"](*arguments, h, nothing, multipliers))
+    (upper,) = lagrangian(*arguments, h, nothing, multipliers)
     whole = upper + np.triu(upper, 1).T
     rounding = 1e-9 * np.abs(np.diag(whole)).sum() + 1e-300
     convex = np.linalg.eigvalsh(whole[problem.nx :, problem.nx :]).min() > -rounding

@@ -363,7 +363,7 @@ class InterpretedSolver(InterpretedLineSearch):
         from wbmpc.solver.riccati import MIN_SLOPE
 
         ws, state = self.ws, self.ws.state
-        e, cd = (np.array(v) for v in self.derivatives["equality_jacobian"](ws.x[0], ws.u[0], self._p(0), ws.w))
+        e, cd = self.derivatives["equality_jacobian"](ws.x[0], ws.u[0], self._p(0), ws.w)
         d = cd[:, self.problem.nx :]
         by = np.abs(e.ravel()) / (np.maximum(np.linalg.norm(d, axis=1), MIN_SLOPE) + np.abs(d) @ np.abs(ws.u[0]))
         by[self.problem.softness > MIN_SOFTNESS] = 0.0

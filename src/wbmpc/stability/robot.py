@@ -17,6 +17,7 @@ from wbmpc.bases.base import Base, Footprint
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import Chain, FramePose, PointLoad, RootMotion, constant, cross
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability.friction import friction_needed
 from wbmpc.stability.geometry import Array, Triangle, hull, support_polygon, triangle_margins
@@ -60,13 +61,13 @@ class Support:
         total = ca.SX(3, 1)
         for i, link in enumerate(self.chain.links):
             if link.mass > 0.0:
-                pose = self.chain.link_pose(i)
-                total += link.mass * (pose.position + pose.rotation @ constant(link.com))
+                position, turn = self.chain.link_place(i)
+                total += link.mass * (position + turn @ constant(link.com))
         return total / self.mass
 
     def tool(self) -> ca.SX:
         """The end effector's frame (3) [m]."""
-        return self.chain.frame_pose(self.robot.tree.frames[self.robot.tool]).position
+        return self.chain.frame_place(self.robot.tree.frames[self.robot.tool])[0]
 
     def load(
         self,
@@ -217,7 +218,7 @@ class StanceOf:
         load = (load[0] + change, load[1] + ca.cross(support.com, change))
         outputs = [support.feet, support.com, *load]
         self.robot, self.mass = robot, support.mass
-        self._function = ca.Function("stance", [x, u, a, wrench, gravity], [ca.densify(o) for o in outputs])
+        self._function = Numeric(ca.Function("stance", [x, u, a, wrench, gravity], [ca.densify(o) for o in outputs]))
 
     def __call__(
         self,
@@ -234,7 +235,7 @@ class StanceOf:
         sizes = (self.robot.state.size, none.size, none.size, 6, 3)
         names = ("state", "input", "input's rate", "wrench", "gravity")
         checked = [_numbers(n, v, s) for n, v, s in zip(names, arguments, sizes, strict=True)]
-        feet, com, force, moment = (np.array(v) for v in self._function(*checked))
+        feet, com, force, moment = self._function(*checked)
         force, moment = force.ravel(), moment.ravel()
         down = force[2] if force[2] < 0.0 else np.nan
         return Stance(feet, com.ravel(), self.mass, force, moment, np.array([-moment[1], moment[0]]) / down)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +24,25 @@ APART = 2.2
 #: margin is that of the nearest edge alone, and many stances have the same.
 AREA, PASSED, AWAY = 0.02, 20.0, 0.002
 
+#: Stances that were found, by width.
+_FOUND: WeakKeyDictionary[RobotModel, dict[float, Array]] = WeakKeyDictionary()
+
 
 def best_stance(robot: RobotModel, half_width: float = np.inf) -> Array:
     """Positions of the legs (n) [rad, or m of those that slide] with the largest margin of support: from the zero-moment point of the robot
     at rest, its arm at home, to the border of the support polygon.
 
     ``half_width`` [m]: steer axes stay within it of the body's x axis. Legs stay within their ranges and apart from each other. By coordinate
-    ascent from several starts, always the same ones. Raises :class:`InputError` for legs that do not move, and where no stance is so narrow.
+    ascent from several starts, always the same ones; of one robot once for each width. Raises :class:`InputError` for legs that do not move,
+    and where no stance is so narrow.
     """
+    found = _FOUND.setdefault(robot, {})
+    if half_width not in found:
+        found[half_width] = _searched(robot, half_width)
+    return found[half_width].copy()
+
+
+def _searched(robot: RobotModel, half_width: float) -> Array:
     geometry = standing(robot).modules
     if geometry is None or not geometry.legs_move:
         raise InputError(f"{robot.description.name}: its legs are fixed, it has one stance")

@@ -27,15 +27,15 @@ def load_offset(base: BallBase, q: ca.SX, w: ca.SX | None = None) -> ca.SX:
     """Horizontal offset (2) [m] of the center of mass of all that stands on the ball, from the ball's center, with the payload of
     the parameters w."""
     chain, first, mass = base.chain(q), ca.SX(3, 1), ca.SX(0)
-    ball = chain.link_pose(1).position
+    ball, _ = chain.link_place(1)
     for i, link in enumerate(base.tree.links):
         if i > 1 and link.mass > 0.0:
-            pose = chain.link_pose(i)
-            first += link.mass * (pose.position + pose.rotation @ constant(link.com) - ball)
+            position, turn = chain.link_place(i)
+            first += link.mass * (position + turn @ constant(link.com) - ball)
             mass += link.mass
     carried = None if w is None else base.payload(w)
     if carried is not None:
-        first += carried * (chain.frame_pose(base.tool).position - ball)
+        first += carried * (chain.frame_place(base.tool)[0] - ball)
         mass += carried
     return first[:2] / mass
 

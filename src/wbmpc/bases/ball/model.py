@@ -170,7 +170,7 @@ class BallBase:
         base = Frame(4, np.zeros(3), np.eye(3))
         _, omega = chain.frame_velocity(base, rates, ca.SX(3, 1), ca.SX(3, 1))
         spin = ca.vertcat(-v[1] / self.radius, v[0] / self.radius, ca.SX(1, 1))
-        rotation = chain.link_pose(4).rotation
+        _, rotation = chain.link_place(4)
         return ca.DM(self.wheel_torque_map().T) @ (rotation.T @ (spin - omega))
 
     # ------------------------------------------------------------------ dynamics
@@ -297,10 +297,10 @@ class BallNumeric:
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """M a + h (nq): the generalized forces of a motion."""
         base = self._base
-        if "tau" not in self._functions:
+        if "tau" not in self._numeric:
             s = [ca.SX.sym(n, base.nq) for n in "qva"]
-            self._functions["tau"] = ca.Function("tau", s, [ca.densify(base.inverse_dynamics(*s))])
-        return np.array(self._functions["tau"](*(np.asarray(value, float) for value in (q, v, a)))).ravel()
+            self._numeric["tau"] = Numeric(ca.Function("tau", s, [ca.densify(base.inverse_dynamics(*s))]))
+        return self._numeric["tau"](q, v, a)[0].ravel()
 
     def equilibrium(self, arm: ArrayLike, yaw: float = 0.0, force: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
         """State (nx) and torques (wheels + arm) at which the robot rests with a force (3) [N] of the world on the tool."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
 from wbmpc.model.layout import Layout
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -192,11 +193,11 @@ def end_effector_motion(robot: RobotModel) -> Callable[[Array], tuple[Array, Arr
     """Position (3) [m], velocity (3) [m/s] and angular velocity (3) [rad/s] of the end effector at a state (nx) of the robot."""
     x, u = ca.SX.sym("x", robot.state.size), ca.SX(robot.input.size, 1)
     place, (velocity, turn) = robot.frame_pose(x, robot.tool).position, robot.frame_velocity(x, u, robot.tool)
-    function = ca.Function("hand", [x], [place, velocity, turn])
+    function = Numeric(ca.Function("hand", [x], [place, velocity, turn]))
 
     def motion(state: Array) -> tuple[Array, Array, Array]:
         p, v, w = function(state)
-        return np.array(p).ravel(), np.array(v).ravel(), np.array(w).ravel()
+        return p.ravel(), v.ravel(), w.ravel()
 
     return motion
 
@@ -205,5 +206,5 @@ def arm_jacobian(robot: RobotModel) -> Callable[[Array], Array]:
     """How the end effector's position (3) [m] changes with the arm's joints (3, m) [m/rad] at a state (nx) of the robot."""
     x = ca.SX.sym("x", robot.state.size)
     place = robot.frame_pose(x, robot.tool).position
-    function = ca.Function("arm_jacobian", [x], [ca.jacobian(place, x)[:, robot.state["arm"]]])
-    return lambda state: np.array(function(state))
+    function = Numeric(ca.Function("arm_jacobian", [x], [ca.jacobian(place, x)[:, robot.state["arm"]]]))
+    return lambda state: function(state)[0]

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.checks import numbers, positive_time
 from wbmpc.errors import InputError
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -89,8 +90,9 @@ class SensorlessForce:
         q, force = ca.SX.sym("q", n), ca.SX.sym("f", 3)
         torque = ca.SX.sym("u", robot.input.size - 3)
         known = robot.base.generalized_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
-        self._known = ca.Function("known", [q, torque], [known])
-        self._jacobian = ca.Function("jacobian", [q], [ca.jacobian(robot.base.tool_force(q, force), force).T])
+        self._known = Numeric(ca.Function("known", [q, torque], [known]))
+        jacobian = ca.jacobian(robot.base.tool_force(q, force), force).T
+        self._jacobian = Numeric(ca.Function("jacobian", [q], [jacobian]))
         still = np.zeros(n)
         self.observer = MomentumObserver(
             robot.base.numeric.mass_matrix, lambda q, v: robot.base.numeric.inverse_dynamics(q, v, still)
@@ -102,6 +104,6 @@ class SensorlessForce:
     def update(self, state: Array, torque: Array, interval: float, carried: float) -> None:
         """The state (nx) now, the torques that acted over the ``interval`` [s] before, the mass [kg] that the end effector holds."""
         q, v = state[: self._nq], state[self._nq :]
-        known = np.array(self._known(q, torque)).ravel() + carried * self._load(q)
+        known = self._known(q, torque)[0].ravel() + carried * self._load(q)
         self.observer.update(q, v, known, interval)
-        self.force = self.observer.force(np.array(self._jacobian(q)), self._weight)
+        self.force = self.observer.force(self._jacobian(q)[0], self._weight)

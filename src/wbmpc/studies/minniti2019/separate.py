@@ -20,6 +20,7 @@ from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
@@ -58,14 +59,14 @@ class EndEffectorInverse:
             residuals.Symbols(x, none, none, none, pose, x, none)
         )
         slope = ca.jacobian(error, x[arm.start : arm.stop])
-        self._error = ca.Function("error", [x, pose], [ca.densify(error), ca.densify(slope)])
+        self._error = Numeric(ca.Function("error", [x, pose], [ca.densify(error), ca.densify(slope)]))
 
     def __call__(self, x: Array, pose: Array, rest: Array, guess: Array, steps: int = 3) -> Array:
         """Angles (m) [rad] for the base of state x (nx), the end effector at ``pose`` (7), the arm near ``rest`` (m)."""
         x, found = x.copy(), guess.copy()
         for _ in range(steps):
             x[self._arm] = found
-            error, slope = (np.array(v) for v in self._error(x, pose))
+            error, slope = self._error(x, pose)
             error[:3], error[3:] = _short(error[:3], FAR[0]), _short(error[3:], FAR[1])
             rows = self._root[:, None] * slope
             normal = rows.T @ rows + (self._posture + DAMPING) * np.eye(found.size)

@@ -17,6 +17,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.checks import positive
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
@@ -74,7 +75,7 @@ class TaskSpaceController(BallController):
         from scipy.linalg import solve_continuous_are  # slow to import
 
         n, g = self.robot.base.nq, self.gains
-        a, b = (np.array(m) for m in self._model["linear"](self.home, self._rest))
+        a, b = self._model["linear"](self.home, self._rest)
         some, wheels = [*range(5), *range(n, n + 5)], len(self.robot.input.groups["wheel"])
         a, b = a[np.ix_(some, some)], b[some][:, :wheels]
         q = np.diag([g.ball, g.ball, g.yaw, g.tilt, g.tilt, g.ball_speed, g.ball_speed, 1.0, 1.0, 1.0])
@@ -91,7 +92,7 @@ class TaskSpaceController(BallController):
         from scipy.optimize import lsq_linear
 
         n, g = self.robot.base.nq, self.gains
-        place, turned, velocity, jacobian, drift, map_, bias = (np.array(m) for m in self._model["now"](x))
+        place, turned, velocity, jacobian, drift, map_, bias = self._model["now"](x)
         mass = self.robot.base.numeric.mass_matrix(x[:n])
         free = np.linalg.solve(mass, self.disturbance - bias.ravel())
         drive = np.linalg.solve(mass, map_)
@@ -155,7 +156,7 @@ def _lean_stiffness(robot: RobotModel, home: Array) -> Array:
     return np.array([(weight(s) - weight(-s)) / 2e-4 for s in steps]).T
 
 
-def _functions(robot: RobotModel) -> dict[str, ca.Function]:
+def _functions(robot: RobotModel) -> dict[str, Numeric]:
     n, m = robot.base.nq, robot.input.size
     x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", m)
     q, v = x[:n], x[n:]
@@ -167,6 +168,6 @@ def _functions(robot: RobotModel) -> dict[str, ca.Function]:
     now = [pose.position, pose.quaternion, velocity, jacobian, ca.jtimes(velocity, q, v), ca.jacobian(force, u), bias]
     f = robot.dynamics()(x, u, w, mode)
     return {
-        "now": ca.Function("now", [x], [ca.densify(ca.SX(e)) for e in now]),
-        "linear": ca.Function("linear", [x, u], [ca.densify(ca.jacobian(f, x)), ca.densify(ca.jacobian(f, u))]),
+        "now": Numeric(ca.Function("now", [x], [ca.densify(ca.SX(e)) for e in now])),
+        "linear": Numeric(ca.Function("linear", [x, u], [ca.densify(ca.jacobian(f, v)) for v in (x, u)])),
     }

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.errors import InputError
+from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
@@ -52,7 +53,7 @@ class TrackingController(BallController):
         super().__init__(robot, mpc, *args)
         n, base, size = len(robot.input.groups["wheel"]), robot.base, robot.state.size
         x = ca.SX.sym("x", size)
-        self._speeds = ca.Function("speeds", [x], [base.wheel_speeds(x[: base.nq], x[base.nq :])])
+        self._speeds = Numeric(ca.Function("speeds", [x], [base.wheel_speeds(x[: base.nq], x[base.nq :])]))
         self.leak_time_constant, self._n, self._arm = gains.leak_time_constant, n, robot.state["arm"]
         each = lambda wheel, arm: np.array([wheel] * n + [arm] * (self.limit.size - n))
         self.stiffness = each(gains.wheel_stiffness, gains.arm_stiffness)
@@ -63,7 +64,7 @@ class TrackingController(BallController):
 
     def speeds(self, x: Array) -> Array:
         """Actuator speeds (n + m) [rad/s] in a state (nx)."""
-        return np.concatenate([np.array(self._speeds(x)).ravel(), x[self.robot.base.nq + 5 :]])
+        return np.concatenate([self._speeds(x)[0].ravel(), x[self.robot.base.nq + 5 :]])
 
     def _observe(self, measurement: BallMeasurement) -> None:
         super()._observe(measurement)
