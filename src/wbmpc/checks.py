@@ -185,6 +185,17 @@ def is_covariance(matrix: ArrayLike) -> bool:
     return bool(values[0] >= -1e-9 * max(values[-1], 0.0))
 
 
+#: Smallest eigenvalue of a matrix of correlations that has an inverse.
+_CERTAIN = 1e-12
+
+
+def is_certain(covariance: ArrayLike) -> bool:
+    """Whether what has a covariance is certain in some direction. Units do not count: a yaw that is not known at all (1e9 rad²) is
+    none."""
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return not spread.all() or bool(np.linalg.eigvalsh(covariance / np.outer(spread, spread))[0] < _CERTAIN)
+
+
 def covariance(who: str, values: ArrayLike) -> NDArray[np.float64]:
     """``values`` as a covariance (3, 3), or :class:`InputError` (:class:`NotFinite`) of ``who``."""
     value = np.asarray(values, float)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,30 @@ def test_a_pose_with_a_covariance_is_weighed(pair: Callable[..., Any]) -> None:
     assert p.control.adapter.snapshot()[1][0] == pytest.approx(3.005, abs=1e-4)
     e = p.control.adapter.estimate()
     assert e.covariance[0, 0] == pytest.approx(0.5e-4, rel=0.05) and e.covariance[2, 2] == 1e6
+
+
+@pytest.mark.parametrize(
+    "variances", [(1.0, 0.0, 0.0), (1e-4, 1e-4, 0.0), (1e-4, 1e-4, 5e-324), (0.0, 0.0, 1e12), (1.0, 1.0, 1.0)]
+)
+def test_a_covariance_that_is_zero_in_a_direction_does_not_count(
+    pair: Callable[..., Any], variances: tuple[float, ...]
+) -> None:
+    """A filter that has taken one in has nothing to weigh the next one with. The last one is of two that are the same variable."""
+    control = pair(topics={"pose": "/pose"}, use_sim_time=False).control
+    covariance = np.zeros((6, 6))
+    covariance[[0, 1, 5], [0, 1, 5]] = variances
+    covariance[0, 1] = covariance[1, 0] = float(variances[0] == variances[1] == 1.0)
+    upright = SimpleNamespace(
+        position=SimpleNamespace(x=1.0, y=0, z=0), orientation=SimpleNamespace(x=0, y=0, z=0, w=1)
+    )
+    head = SimpleNamespace(frame_id="odom", stamp=SimpleNamespace(sec=0, nanosec=0))
+    message = lambda c: SimpleNamespace(header=head, pose=SimpleNamespace(pose=upright, covariance=c.ravel()))
+    control.source._take(message(covariance))
+    assert control.source.newest() is None
+    assert control.source.fault.startswith("/pose: the covariance is 0 in a direction, but not in all")
+    for good in (np.zeros((6, 6)), 1e-6 * np.eye(6)):
+        control.source._take(message(good))
+        assert control.source.newest() is not None and not control.source.fault
 
 
 @pytest.fixture

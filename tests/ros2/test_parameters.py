@@ -102,6 +102,10 @@ def test_a_weight_is_in_force_from_the_next_solve_on_and_is_reported(pair: Calla
         (number("rates.odom", 10.0), "read-only"),
         (number("cost.end_effector.wait", 10.0), "did you mean 'cost.end_effector.weight'"),
         (number(HAND, -1.0), "valid: 0 to"),
+        (
+            number(HAND, 1e9),
+            f"valid: 0 to {1e3 * SwerveCost().end_effector.weight:g}",
+        ),  # far from the file's: a ball robot fell
         (number(HAND, np.nan), "a finite number is needed"),
         ({"name": HAND, "value": {"type": 4, "string_value": "much"}}, "float is needed, got str"),
         (

@@ -264,6 +264,35 @@ def test_a_second_localization_does_not_drag_the_robot_away(pair: Callable[..., 
     assert "2 publishers on /pose, which has one source" in control.waiting_reason()
 
 
+def test_a_localization_in_place_of_the_first_one_stops_the_robot(pair: Callable[..., Any]) -> None:
+    """The first one leaves; another one says the same, so that nothing jumps. The robot stands until the next goal."""
+    p, source = pair(topics={"pose": "/pose"}), [Publisher("first")]
+    control, upright = p.control, SimpleNamespace(x=0, y=0, z=0, w=1)
+
+    def say(message: Any) -> Any:
+        seen = control.adapter.snapshot()
+        x, y = (0.0, 0.0) if seen is None else seen[1][:2]
+        pose = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=0.0), orientation=upright)
+        head = SimpleNamespace(frame_id="odom", stamp=SimpleNamespace(sec=0, nanosec=0))
+        given = SimpleNamespace(header=head, pose=SimpleNamespace(pose=pose, covariance=np.eye(6).ravel()))
+        control.source._take(given, source[0])
+        return message
+
+    p.standin.change = say
+    drive(p)
+    source[0].left, source[0] = True, Publisher("second")
+    runner = control.runner
+    assert p.until(lambda: runner.stopped, 30.0), control.state
+    assert "the publisher of /pose was replaced by another one" in control.state
+    assert p.until(lambda: p.standin.speed == 0.0)
+    p.run(0.1)
+    assert p.standin.speed == 0.0 and control.runner is runner
+    p.go(2.0, frame="base_link")
+    assert p.until(lambda: p.standin.speed > 0.5), (control.state, control.request_queue.rejected)
+    p.run(0.5)
+    assert control.running
+
+
 def test_the_joints_of_a_gripper_may_have_a_publisher_of_their_own(pair: Callable[..., Any]) -> None:
     """It is heard first, and goes on forever. Truth: the positions of our joints."""
     body = pair(use_sim_time=False).control.robot_io

@@ -14,14 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
-from wbmpc.checks import finite
+from wbmpc.checks import finite, is_certain
 from wbmpc.errors import InputError
 from wbmpc.estimation.odometry_step import WHEELS
 
 Array = NDArray[np.float64]
 
-#: Smallest eigenvalue of a matrix of correlations that has an inverse.
-_CERTAIN = 1e-12
 #: By so much the wheels' standard deviations grow when the filter was lost: a base that was not carried away has wheels that
 #: are worse than believed.
 DOUBTED = 3.0
@@ -127,10 +125,8 @@ def replaced(state: State, error: Array, r: Array) -> State:
 
 
 def _reject_certain(covariance: Array) -> None:
-    """Raise :class:`InputError` for the covariance (3, 3) of a difference that is certain in some direction. Units do not count:
-    a yaw that is not known at all (1e9 rad²) is none."""
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    if not spread.all() or np.linalg.eigvalsh(covariance / np.outer(spread, spread))[0] < _CERTAIN:
+    """Raise :class:`InputError` for the covariance (3, 3) of a difference that is certain in some direction."""
+    if is_certain(covariance):
         raise InputError(
             "global pose: its covariance and the filter's own are both 0 in a direction, so that nothing can be weighed; valid: a "
             "covariance of full rank, or place() for where the base is exactly"

@@ -366,7 +366,8 @@ class ControlNode:
         nowhere."""
         other = self._other_publisher
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
-        lost = lost or self.obstacles.lost()
+        replaced = self.source.source.settle()  # counts once: who would fall takes the next goal
+        lost = lost or replaced or self.obstacles.lost()
         if (other or lost) and self.running:
             self._stop_or_hold(other or lost)
         elif self._hold_reason and not (other or lost):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.checks import is_covariance
+from wbmpc.checks import is_certain, is_covariance
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import Node
@@ -31,6 +31,8 @@ _REMEMBERED = 400
 _ROUNDING = 1e-6
 #: What is known no better is not known at all [m², rad²].
 LARGEST_VARIANCE = 1e12
+#: Less than this [m², rad²] is no variance: divided by it, numbers overflow.
+_SMALLEST = 1e-18
 #: A pose may be off by this many standard deviations besides.
 _SPREAD = 3.0
 
@@ -115,6 +117,11 @@ class PoseSource:
             raise InputError(f"{topic}: a number of the covariance is too large; valid: at most {LARGEST_VARIANCE:g}")
         if not is_covariance(covariance):
             raise InputError(f"{topic}: a variance is negative")
+        if covariance.any() and (np.diag(covariance).min() < _SMALLEST or is_certain(covariance)):
+            # a filter that has taken it in could weigh no second one: that would end the run
+            raise InputError(
+                f"{topic}: the covariance is 0 in a direction, but not in all; valid: full rank, or 0 (exact)"
+            )
         self.at, age = self.now(), self.stamp() - seconds(message.header.stamp)
         # a stamp of another machine's clock, or none, says nothing: the pose is then of now
         self._fix = self.at - (age if 0.0 <= age < POSE_AGE else 0.0), pose, covariance

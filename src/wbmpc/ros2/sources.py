@@ -78,9 +78,10 @@ class OneSource:
         source.prefer()
         return True
 
-    def settle(self) -> None:
-        """The publisher that is heard now is the right one."""
-        self.replaced = ""
+    def settle(self) -> str:
+        """The publisher that is heard now is the right one; returns what :attr:`replaced` was."""
+        was, self.replaced = self.replaced, ""
+        return was
 
     @property
     def conflict(self) -> str:

@@ -19,6 +19,8 @@ from wbmpc.settings import LARGEST, Settings, Weight
 _LOG = logging.getLogger("wbmpc")
 #: What says in the settings' classes that a number is a weight.
 _OF_WEIGHTS = list(get_args(Weight)[1].metadata)
+#: A weight from the bus is at most so many times that of the file, or of 1: one of 1e8 alone makes a robot that balances fall.
+LARGEST_FACTOR = 1e3
 
 
 class Tuning:
@@ -65,8 +67,8 @@ def _weights(prefix: str, cost: Settings) -> list[Parameter]:
         if isinstance(value, Settings):
             found += _weights(full, value)
         elif field.annotation is float and field.metadata == _OF_WEIGHTS:
-            text = "weight; applied between two solves"
-            found.append(Parameter(full, float(value), text, read_only=False, range=(0.0, LARGEST)))
+            text, largest = "weight; applied between two solves", min(LARGEST_FACTOR * max(value, 1.0), LARGEST)
+            found.append(Parameter(full, float(value), text, read_only=False, range=(0.0, largest)))
         else:
             found.append(Parameter(full, value, "part of the problem's structure"))
     return found
