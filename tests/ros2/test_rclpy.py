@@ -163,7 +163,8 @@ def test_the_controllers_node_runs_on_it(made: list[Any]) -> None:
         now, previous = stamp(ticks[0] / 50.0), len(sent)
         ticks[0] += 1
         imu.publish({"header": {"stamp": now}})
-        joints.publish({"header": {"stamp": now}, "name": names, "position": robot.home[3:]})
+        # encoders that never change are a fault
+        joints.publish({"header": {"stamp": now}, "name": names, "position": robot.home[3:] + 1e-6 * (ticks[0] % 2)})
         clock.publish({"clock": now})
         assert wait_until(lambda: not control.running or len(sent) > previous)
         control.step()
