@@ -55,7 +55,7 @@ class SwerveFixedSettings(DrivingSettings):
     robot: Robot = "swerve-fixed-ur10"
     controllers: tuple[Controller, ...] = Field(("mpc", "ik", "four_wheel"), min_length=1)
     ik: BaselineGains = BaselineGains(base_gain=12.0, steer_gain=30.0, look_ahead=2.0)
-    four_wheel: BaselineGains = BaselineGains(base_gain=16.0, steer_gain=10.0, look_ahead=0.5)
+    four_wheel: BaselineGains = BaselineGains(base_gain=19.1, steer_gain=19.4, look_ahead=1.7)
     motions: tuple[Name, ...] = tuple(SEGMENTS)
     random_time: float = Field(60.0, ge=0, le=3600)
     speed: float = Field(0.5, gt=0, le=1.0)
