@@ -72,7 +72,7 @@ def settings(rng: random.Random, folder: Path) -> Case:
 
 
 #: Experiments that are built for real: with an MPC, and without a drive for calibration before it.
-BUILT = ("swerve-fixed", "rezero-circle", "rezero-steps", "rezero-wholebody", "rezero-taskspace")
+BUILT = ("swerve-unified", "rezero-circle", "rezero-steps", "rezero-wholebody", "rezero-taskspace")
 
 
 def problems(rng: random.Random, folder: Path) -> Case:
