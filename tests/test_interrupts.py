@@ -24,10 +24,10 @@ from wbmpc.types import Observation
 #: The first process of a program: that which keeps account of shared memory starts with it.
 STARTS = """
 import multiprocessing, os, signal, time
-from wbmpc.interrupts import deaf
+from wbmpc.interrupts import interrupts_blocked
 if __name__ == "__main__":
     process = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(0.1,))
-    with deaf():
+    with interrupts_blocked():
         process.start()
     signal.signal(signal.SIGINT, lambda number, frame: print("heard", flush=True))
     os.killpg(0, signal.SIGINT)
@@ -36,7 +36,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_process_is_deaf_from_its_first_instruction_on(tmp_path: Any) -> None:
+def test_a_process_takes_no_interrupt_from_its_first_instruction_on(tmp_path: Any) -> None:
     (tmp_path / "starts.py").write_text(STARTS)
     run = [sys.executable, str(tmp_path / "starts.py")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -70,7 +70,9 @@ class _Started(Exception):
 
 
 @pytest.mark.parametrize("start", [view_process, physics_process, mpc_process])
-def test_processes_of_a_command_start_deaf(start: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_of_a_command_start_with_interrupts_blocked(
+    start: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     masks = []
 
     def started(process: BaseProcess) -> None:

@@ -124,6 +124,15 @@ def test_a_run_that_did_not_complete_reaches_no_goal(tmp_path: Path) -> None:
     assert cells == {True: 1, False: 0}
 
 
+@pytest.mark.parametrize(("unit", "shown"), [("1", True), ("m", False)])
+def test_where_only_counts_have_goals_all_metrics_are_shown(unit: str, shown: bool, tmp_path: Path) -> None:
+    """A table that says "fell 0" alone says nothing of how well a run went. The figures come before time and commit."""
+    metrics = {"fell": Metric(0.0, "1", goal=0.0), "gap": Metric(0.5, unit, goal=1.0), "mean_error": Metric(0.2, "m")}
+    text = page([Entry(tmp_path, datetime.now(UTC), "fake", 1, True, "", metrics)], tmp_path)
+    assert ("mean_<wbr>error" in text) == shown
+    assert text.index(">gap") < text.index("<th>ended</th>")
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 def test_a_click_sorts_and_words_filter(some: Path, tmp_path: Path) -> None:
     """Measured by a browser: order of seeds after one and two clicks, and what a word leaves."""

@@ -126,7 +126,7 @@ def terminable() -> Iterator[None]:
 
 
 @contextmanager
-def deaf() -> Iterator[None]:
+def interrupts_blocked() -> Iterator[None]:
     """Threads and processes that this thread starts in here do not hear the terminal's Ctrl-C, from their first instruction on: a signal
     that is blocked stays so for them. It is for the process that started them, which ends them."""
     from multiprocessing import resource_tracker

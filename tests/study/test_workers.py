@@ -184,6 +184,7 @@ def test_nothing_is_started_for_files_that_cannot_be_read(
     assert main([command, str(file), "--out", str(tmp_path / "out"), "--workers", "2"]) == 2
     found = capsys.readouterr().err
     assert said in found and found.count("\n") == 1
+    assert not (tmp_path / "out" / "trials.db").exists()  # a search would store a hundred rejected trials
 
 
 def test_a_study_is_no_server_for_browsers() -> None:

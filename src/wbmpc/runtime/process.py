@@ -9,7 +9,7 @@ from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 
 from wbmpc.errors import InputError
-from wbmpc.interrupts import deaf
+from wbmpc.interrupts import interrupts_blocked
 from wbmpc.mpc.mpc import MPC
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.shared_memory import Board, Mailbox
@@ -32,7 +32,7 @@ def start_process(
     arguments = (make, observations, policies, board, worker_commands, offset, setup)
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=serve, args=arguments, daemon=True)
-    with deaf():
+    with interrupts_blocked():
         process.start()
     return process
 

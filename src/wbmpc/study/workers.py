@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
 from wbmpc.errors import InputError, RunAborted
-from wbmpc.interrupts import deaf
+from wbmpc.interrupts import interrupts_blocked
 from wbmpc.simulation.lockstep import interrupt_noted
 from wbmpc.study.store import MISSING
 from wbmpc.study.work import lost
@@ -155,7 +155,11 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         with _closing(client, None):
             yield Cluster(client, scheduler)
         return
-    with interrupt_noted() as interrupted, deaf(), _threads_pinned():  # one that is half there cannot be closed
+    with (
+        interrupt_noted() as interrupted,
+        interrupts_blocked(),
+        _threads_pinned(),
+    ):  # one that is half there cannot be closed
         cluster = LocalCluster(
             n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
             scheduler_kwargs=_NO_PAGES, silence_logs=logging.CRITICAL,
@@ -173,7 +177,7 @@ def _closing(client: Client, cluster: LocalCluster | None) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(Exception), deaf():
+        with suppress(Exception), interrupts_blocked():
             if cluster is not None:
                 for nanny in cluster.workers.values():
                     if nanny.pid is not None:

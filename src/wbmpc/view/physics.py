@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import RunAborted
-from wbmpc.interrupts import deaf
+from wbmpc.interrupts import interrupts_blocked
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.shared_memory import Board, Mailbox
 from wbmpc.simulation.scene import SceneReader
@@ -73,7 +73,7 @@ class Simulated:
         boxes = (self.measurements, self.commands, self.pushes, self.seen)
         arguments = (make, type(stop), boxes, self.board, core, fifo)
         self.process = multiprocessing.get_context("spawn").Process(target=simulate, args=arguments, daemon=True)
-        with deaf():
+        with interrupts_blocked():
             self.process.start()
         while not self.board["ready"]:
             if not self.process.is_alive():

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from typing import Any
 
 from wbmpc.errors import InputError
-from wbmpc.interrupts import deaf
+from wbmpc.interrupts import interrupts_blocked
 from wbmpc.runtime.shared_memory import Board, Fields, Mailbox
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.access import Access
@@ -48,7 +48,7 @@ class Window:
         self.shown, self.requests, self.board = Mailbox.shared(shown), Mailbox.shared(REQUESTS), Board.shared(BOARD)
         arguments = (scene.plain(), controls, self.shown, self.requests, self.board, self.access, self.port, drawer)
         self.process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
-        with deaf():
+        with interrupts_blocked():
             self.process.start()
         deadline = time.monotonic() + _START
         while not self.board["ready"] and self.process.is_alive() and time.monotonic() < deadline:
@@ -73,7 +73,7 @@ class Window:
         """End the process; a browser is left the time to read what was said last."""
         if self.process is not None:
             self.board["end"] = 1.0
-            if not self.board["ready"]:  # nobody reads it yet
+            if not self.board["ready"]:  # the process does not read it yet
                 self.process.kill()
             self.process.join(FAREWELL + 3.0)
             if self.process.is_alive():
