@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -261,6 +262,14 @@ def test_closed_streams_change_nothing(stream: tuple[int, str], tmp_path: Path) 
     out = shell("run", "fake", code=code)
     assert out.returncode == 0 and "Traceback" not in out.stderr
     assert len(list(tmp_path.glob("runs/fake-seed200/*"))) == 3
+
+
+def test_characters_that_a_stream_does_not_have_are_written_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a terminal without UTF-8, after a run that had completed: its table has a ≤."""
+    narrow = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", narrow)
+    assert call("run", "fake") == 0
+    assert b"\\u2264 3" in narrow.buffer.getvalue()  # type: ignore[attr-defined]
 
 
 def test_ctrl_c_within_compiled_code_is_no_error(

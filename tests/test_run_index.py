@@ -176,8 +176,10 @@ def test_names_that_are_no_text_are_shown(tmp_path: Path, capsys: pytest.Capture
     run = Path(os.fsdecode(os.fsencode(tmp_path) + b"/runs/a\xff"))
     run.mkdir(parents=True)
     (run / "metrics.json").write_text('{"experiment": "\\ud800", "metrics": {}}')
+    (run / "report.html").touch()
     made = tmp_path / "page.html"
     assert main(["runs", str(tmp_path / "runs"), "--page", str(made)]) == 0
-    assert "\\udcff" in made.read_text("utf-8")
+    text = made.read_text("utf-8")
+    assert "\\udcff" in text and 'href="runs/a%FF/report.html"' in text
     assert main(["runs", str(tmp_path / "runs")]) == 0
     assert "\\udcff" in capsys.readouterr().out

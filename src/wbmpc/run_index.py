@@ -209,10 +209,10 @@ def _cell(metric: Metric | None, shown: Scale, completed: bool) -> str:
 def _links(run: Entry, beside: Path) -> str:
     """The run's name as a link to its report, and those to its replay and recording, where they are there."""
     path = os.path.relpath(run.directory, beside)
-    link = lambda file, text: f'<a href="{html.escape(quote(f"{path}/{file}"))}">{html.escape(text)}</a>'
+    link = lambda file, text: f'<a href="{html.escape(quote(os.fsencode(f"{path}/{file}")))}">{html.escape(text)}</a>'
     reported = (run.directory / REPORT).is_file()
     name = link(REPORT, path) if reported else html.escape(path)
     if not (run.directory / RECORDING).is_file():
         return name
-    replay = f'<a href="{html.escape(quote(f"{path}/{REPORT}"))}#replay">replay</a>, ' if reported else ""
+    replay = f'<a href="{html.escape(quote(os.fsencode(f"{path}/{REPORT}")))}#replay">replay</a>, ' if reported else ""
     return f"{name} ({replay}{link(RECORDING, 'recording')})"

@@ -135,6 +135,31 @@ def test_nobody_changes_the_data_of_another_threads_solve() -> None:
         assert solver.solve(problem.x0).status is not Status.NOT_FINITE, what
 
 
+def test_ctrl_c_while_it_is_entered_or_left_keeps_it_from_nobody() -> None:
+    """At each step at which Python calls handlers: where a function begins, and after one of C's. Truth: another thread enters."""
+    for step in range(100):
+        exclusive, left = Exclusive("it"), [step]
+
+        def pressed(frame: object, event: str, _: object, left: list[int] = left) -> None:
+            if event in ("call", "c_return"):
+                left[0] -= 1
+                if left[0] < 0:
+                    raise KeyboardInterrupt
+
+        sys.setprofile(pressed)
+        try:
+            with exclusive, exclusive:
+                exclusive.once("it", abs, 1)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.setprofile(None)
+        together(lambda exclusive=exclusive: exclusive.once("it", abs, 1))
+        if left[0] > 0:
+            break
+    assert 10 < step < 99
+
+
 def test_entering_again_leaves_only_at_the_end_also_by_an_exception() -> None:
     lock = Exclusive("the solver")
     with pytest.raises(ValueError, match="inner"), lock, lock:

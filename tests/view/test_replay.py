@@ -129,6 +129,8 @@ def test_a_film_may_begin_at_any_time(run: SimpleNamespace, tmp_path: Path) -> N
     for topic in recording.topics.values():
         topic.times = [t + late for t in topic.times]
     film = Film(recording)
+    with pytest.raises(InputError, match=r"the recording has 1\.8e\+10"):  # not a picture of another moment
+        render.render(film, tmp_path / "a.png", (10.0, np.inf), (64, 48))
     player = Player(film, Access.of("127.0.0.1"), free_port())
     try:
         assert player._time.value == player._time.min == film.times[0] and player._time.max == film.times[-1]
@@ -337,6 +339,7 @@ BAD = {
     (): "what to write is missing; valid: --mp4 FILE, --gif FILE, --webp FILE, --png FILE",
     ("--mp4", "a.avi"): "--mp4: 'a.avi' must end in .mp4",
     ("--png", "a.png", "--start", "9"): "there is nothing to draw",
+    ("--gif", "a.gif", "--speed", "1e-9"): "the speed must be 0.01 to 1000, got 1e-09",
     ("--mp4", "a.mp4", "--width", "321"): "width and height must be even (its codec halves them), got 321 and 540",
 }
 

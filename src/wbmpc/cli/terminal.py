@@ -124,10 +124,13 @@ class _Tolerant:
 
 def open_streams() -> None:
     """Standard streams that were closed (``wbmpc list >&-``) lead nowhere: Python has None for them, and the next file that is opened
-    would take their number."""
+    would take their number. Characters that a stream's encoding does not have, and names of files that are no text, are written out."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 @contextmanager

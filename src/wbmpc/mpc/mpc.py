@@ -239,8 +239,7 @@ class MPC(Described):
 
         If not: ``fault`` says why; :meth:`recover` from the last good plan.
         """
-        with self.solver.exclusive.once("MPC.update"):
-            return self._advance(observation)
+        return self.solver.exclusive.once("MPC.update", self._advance, observation)
 
     def _advance(self, observation: Observation) -> bool:
         self._check(observation)

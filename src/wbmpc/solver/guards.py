@@ -4,44 +4,62 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from types import FrameType, TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from wbmpc.errors import SolverBusy
 
 #: Signals whose handlers may raise: Python's own for Ctrl-C, the command line's for the others.
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_Given = TypeVar("_Given")
+_Result = TypeVar("_Result")
 
 
 class Exclusive:
-    """One thread at a time, which may enter again. Who comes meanwhile does not wait: :class:`SolverBusy`."""
+    """One thread at a time, which may enter again. Who comes meanwhile does not wait: :class:`SolverBusy`.
+
+    Ctrl-C may come between any two steps of Python, also those of entering and leaving, and must not leave it in use for ever.
+    """
 
     def __init__(self, what: str) -> None:
-        self.what, self._lock, self._running = what, threading.RLock(), False
+        self.what, self._running = what, False
+        self._lock: Any = threading.RLock()
 
     def __enter__(self) -> None:
-        if not self._lock.acquire(blocking=False):
+        if self._lock._is_owned():
+            return
+        try:
+            free = self._lock.acquire(blocking=False)
+        except BaseException:  # of a signal's handler, after the lock was taken or before
+            if self._lock._is_owned():
+                self._lock.release()
+            raise
+        if not free:
             raise SolverBusy(
                 f"{self.what} is in use by another thread: its memory has one owner; valid: one for each thread"
             )
 
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._lock.release()
+    @property
+    def __exit__(self) -> Callable[..., None]:
+        """What leaves: the lock's own method, in which no handler of Python's runs. It is looked up before the context is entered."""
+        return _stay if self._lock._is_owned() else self._lock.__exit__  # type: ignore[no-any-return]
 
-    @contextmanager
-    def once(self, call: str) -> Iterator[None]:
-        """As the context itself, but not again before it is left: a user's function that is called within it, as a guess is, may not
-        ``call`` what called it."""
+    def once(self, name: str, work: Callable[[_Given], _Result], given: _Given) -> _Result:
+        """``work(given)`` within it, but not again before that has ended: a user's function that is called by it, as a guess is, may not call
+        ``name``, which called it."""
         with self:
             if self._running:
-                raise SolverBusy(f"{call}: called before its last call has ended, as by a guess of this very MPC")
-            self._running = True
+                raise SolverBusy(f"{name}: called before its last call has ended, as by a guess of this very MPC")
             try:
-                yield
+                self._running = True
+                return work(given)
             finally:
                 self._running = False
+
+
+def _stay(*_: object) -> None:
+    """Leave a context within one of the same thread."""
 
 
 class Interruptible:

@@ -164,7 +164,7 @@ def _side(column: int) -> str:
 def _cells(entry: StudyEntry, beside: Path) -> str:
     name = html.escape(os.path.relpath(entry.directory, beside))
     if entry.page is not None:
-        name = f'<a href="{html.escape(quote(os.path.relpath(entry.page, beside)))}">{name}</a>'
+        name = f'<a href="{html.escape(quote(os.fsencode(os.path.relpath(entry.page, beside))))}">{name}</a>'
     note = f'<span class="note">{html.escape(entry.note)}</span>' if entry.note else ""
     count = entry.finished if entry.trials is None else entry.trials
     reached, judged = entry.goals

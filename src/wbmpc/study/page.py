@@ -124,7 +124,7 @@ def _failures(cells: Sequence[Cell], beside: Path) -> str:
     for c in cells:
         for seed, how, why, files in zip(c.seeds, c.outcomes, c.reasons, c.files, strict=True):
             if how != "completed" or files:
-                link = quote(os.path.relpath(Path(files) / "report.html", beside)) if files else ""
+                link = quote(os.fsencode(os.path.relpath(Path(files) / "report.html", beside))) if files else ""
                 name = f"{html.escape(c.label)}, seed {seed}"
                 rows.append([f'<a href="{link}">{name}</a>' if link else name, how, html.escape(why)])
     more = f"<p>and {len(rows) - MAX_FAILURES} more</p>" if len(rows) > MAX_FAILURES else ""

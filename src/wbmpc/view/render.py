@@ -29,6 +29,8 @@ RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
 #: A film has too many pictures for smooth edges, which take half of the time: its speed hides them.
 _ROUGH = (".mp4",)
 GIF_COLORS = 64
+#: Speeds of a clip against the run.
+SPEEDS = (0.01, 1000.0)
 #: Of 100: edges stay clear, and a clip is smaller than a GIF.
 WEBP_QUALITY = 40
 #: A camera's elevations [rad], the best first; at how many moments of a clip it is looked whether something hides the robot.
@@ -57,8 +59,12 @@ def render(
             f"render: a film's width and height must be even (its codec halves them), got {size[0]} and {size[1]}"
         )
     start, end = max(times[0], float(film.times[0])), min(times[1], float(film.times[-1]))
-    if not (start <= end and speed > 0.0):
-        raise InputError(f"render: from {start:g} to {end:g} s at speed {speed:g} there is nothing to draw")
+    if not SPEEDS[0] <= speed <= SPEEDS[1]:
+        raise InputError(f"render: the speed must be {SPEEDS[0]:g} to {SPEEDS[1]:g}, got {speed:g}")
+    if not start <= end or (kind == ".png" and 0.0 < times[0] < start):
+        raise InputError(
+            f"render: from {times[0]:g} to {times[1]:g} s there is nothing to draw: the recording has {film.times[0]:g} to {film.times[-1]:g} s"
+        )
     moments = (
         np.array([start])
         if kind == ".png"
