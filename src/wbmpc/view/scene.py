@@ -78,7 +78,7 @@ class ViewScene:
     def _light(self) -> None:
         scene = self.server.scene
         scene.configure_default_lights(enabled=False)
-        # a panorama as a further light takes a browser without a graphics processor some 10 s at the first picture
+        # a panorama as one more light takes a browser without a graphics processor longer than all else of its first picture
         scene.configure_environment_map(hdri=None)
         scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=2.4)
         scene.add_light_directional("/light/sun", intensity=2.2, position=(2.0, -3.0, 5.0))

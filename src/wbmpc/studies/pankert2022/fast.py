@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from wbmpc.configuration import kind_alone
+from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
@@ -34,13 +34,14 @@ NAME = "swerve-fast"
 class SwerveFastSettings(TaskSettings):
     """``course``: sideways (:class:`Sideways`), an s-curve (:class:`SCurve`) or a slalom (:class:`Slalom`); ``after`` [s]: how long the robot
     is watched from the order on (left out: as the course needs); ``legs``: configuration of hinged legs. ``weights`` are factors on top of
-    the course's own. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever
+    the course's own. What wheels that are not calibrated let odometry believe is more than plans are off their path. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever
     is planned."""
 
     robot: Robot = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
     mpc: TaskMpcSettings = TaskMpcSettings(model="dynamic", horizon=2.0)
     stability: Stability = WheelLoadSettings(min_load=0.1, payload=10.0)
+    calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "drive"
     weights: dict[str, Positive] = Field(default={})
     settle_time: float = Field(2.0, ge=0, le=60)
     course: Annotated[Sideways | SCurve | Slalom, Field(discriminator="kind"), BeforeValidator(kind_alone)] = Sideways()
