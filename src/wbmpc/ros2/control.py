@@ -124,7 +124,7 @@ class ControlNode:
         self.yield_to_controller()
         parts = (
             self.adapter.inspect, self.obstacles.update, self.leg_control.update, self._send_setpoints, self.health.update,
-            self.publishers.publish,
+            self.publishers.publish, self.rosout.send,
         )  # fmt: skip
         for update in parts:
             try:
@@ -135,7 +135,6 @@ class ControlNode:
             self._logged = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner
                 self._limit.log(_LOG, logging.INFO, self.state.split(":")[0], self.state)
-        self.rosout.send()
 
     def close(self) -> None:
         """Bring the robot to rest and end."""

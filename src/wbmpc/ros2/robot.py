@@ -108,6 +108,8 @@ class BusRobot:
         previous, arrival = self._joints, time.perf_counter()
         if previous is not None:
             self._follow_series(previous[0], sample)
+            if sample.stamp < previous[0].stamp:  # a clock that was set, or a stamp that was wrong: of neither is the difference
+                self._behind = np.inf
         sample = replace(sample, series=self._series)
         if self._way is not None:  # both or neither: an estimate takes a way that stands for rest
             if not self._way_goes_on(sample.stamp, arrival):
