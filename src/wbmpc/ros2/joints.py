@@ -48,8 +48,8 @@ class JointSample:
 class JointReader:
     """JointState messages to samples; what is wrong with a message is an :class:`InputError`.
 
-    ``confirmed``: of a robot that falls when its states are missing only the first message of a jump is wrong: a second one
-    that agrees with it is true, for joints of a robot that is hit move faster than their drives can.
+    ``confirmed``: of a robot that falls when its states are missing only the first message of a jump, also of its time ahead, is
+    wrong: a second one that agrees with it is true, for joints of a robot that is hit move faster than their drives can.
     """
 
     def __init__(self, robot: RobotModel, settings: RosSettings, confirmed: bool = False) -> None:
@@ -62,7 +62,8 @@ class JointReader:
         self._order: tuple[list[str], np.ndarray] | None = None
         self._last: tuple[float, np.ndarray] | None = None
         self._confirmed = confirmed
-        self._doubted: np.ndarray | None = None
+        self._doubted: tuple[float, np.ndarray] | None = None
+        self._gap = settings.safety.watchdog
 
     def read(self, message: Any) -> JointSample:
         """Check and sort a message. A message that is older than the last one is an error too."""
@@ -121,9 +122,13 @@ class JointReader:
         if interval < 0.0:
             raise InputError(f"joint states: their time went back by {-interval:.3f} s")
         far = moved - (SPEED_FACTOR * self._speed * interval + SPEED_REST)
-        doubted, self._doubted = self._doubted, values
-        if self._confirmed and doubted is not None and np.abs(values - doubted).max() < _AGREE:
-            return
+        doubted, self._doubted = self._doubted, (stamp, values)
+        if self._confirmed and doubted is not None:
+            near = abs(stamp - doubted[0]) <= self._gap
+            if near and np.abs(values - doubted[1]).max() < _AGREE:
+                return
+        if self._confirmed and interval > self._gap:
+            raise InputError(f"joint states: their time jumped ahead by {interval:.3g} s")
         if np.any(far > 0.0):
             k = int(np.argmax(far))
             raise InputError(
