@@ -103,6 +103,35 @@ def test_what_it_needs(adapter: Any) -> None:
     assert BallRosSettings().command_topics(ROBOT)["wheel_controller"].joints == ("wheel_0", "wheel_1", "wheel_2")
 
 
+@pytest.mark.parametrize("other", [(-0.5,), (1000.0, 0.0)])
+def test_a_driver_whose_clock_was_set_back_is_not_late(
+    adapter: Any, other: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the wall's clock a measurement of a robot at rest is as old as it was, half a second off and after a single message from
+    the future too; every goal ended in a stop, for its states were taken as old."""
+    now, heard = [100.0], dict[str, Any]()
+    monkeypatch.setattr("wbmpc.ros2.robot.time", SimpleNamespace(perf_counter=lambda: now[0]))
+    node: Any = SimpleNamespace(
+        subscribe=lambda topic, kind, take, *_, **__: heard.update({topic: take}), publisher=lambda *_, **__: None
+    )
+    settings = BallRosSettings()
+    clock: Any = SimpleNamespace(now=lambda: now[0], origin=0.0)
+    body = BusRobot(node, adapter, settings, clock)
+    names, values, point = body._reader.names, np.zeros(len(body._reader.names)), SimpleNamespace(x=0.0, y=0.0, z=9.81)
+
+    def ages(off: float) -> list[float]:
+        now[0] += 0.0025
+        sec, nanosec = divmod(round(1e9 * (1e6 + now[0] + off)), 10**9)
+        at = SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec))
+        heard["/imu"](SimpleNamespace(header=at, angular_velocity=point, linear_acceleration=point))
+        heard["/joint_states"](SimpleNamespace(header=at, name=names, position=values))
+        return [m.now - m.time for m in body.unread()]
+
+    for off in (0.0, *other, other[-1]):
+        found = ages(off)  # none of the first message whose time went back
+    assert found == pytest.approx([settings.state_age], abs=1e-4)
+
+
 def test_a_pose_far_out_of_reach_takes_no_longer_than_a_few_within(monkeypatch: pytest.MonkeyPatch) -> None:
     """On the floor, under the body: what is nearest is balanced, and found with as many evaluations as are allowed."""
     solve, count = ROBOT.base.numeric.equilibrium, []

@@ -126,6 +126,7 @@ STATES = {
     "empty": lambda m: {**m, "name": [], "position": []},
     "missing": lambda m: {**m, "name": ["hip", *m["name"][1:]]},
     "late": lambda m: {**m, "header": {**m["header"], "stamp": {"sec": 0, "nanosec": 5}}},
+    "ahead": lambda m: {**m, "header": {**m["header"], "stamp": {"sec": 1000, "nanosec": 0}}},
 }
 
 
@@ -135,19 +136,28 @@ class TestOneRun:
     def test_messages_that_are_wrong_do_not_count(
         self, balanced: Callable[[], Any], caplog: pytest.LogCaptureFixture
     ) -> None:
-        """One at a time, twice each but for the jump, which would be believed; and the same message again."""
+        """One at a time, twice each but for the jumps, which would be believed; and the same message again. Of the inertial unit two
+        that are stamped wrong."""
         s = balanced()
         changes = [lambda m: m] * 4
         for name, change in STATES.items():
-            changes += [change] * (1 if name == "elsewhere" else 2) + [lambda m: m] * 4
+            changes += [change] * (1 if name in ("elsewhere", "ahead") else 2) + [lambda m: m] * 4
         frozen: list[Any] = []
         repeated = lambda m: frozen[0] if frozen else frozen.append(m) or m
         broken = iter([*changes, *[repeated] * 5])
         s.change = lambda m: next(broken, lambda same: same)(m)
+        send, stamps = s.sim._imu, iter([0, 1000])
+
+        def imu(m: Any) -> None:
+            sec = next(stamps, None)
+            send.publish(m if sec is None else {**m, "header": {**m["header"], "stamp": {"sec": sec, "nanosec": 0}}})
+
+        s.sim._imu = Deaf(imu)
         s.run(0.2)
         standing(s)
-        assert next(broken, None) is None and not s.control.robot_io.fault
+        assert next(broken, None) is None and next(stamps, None) is None and not s.control.robot_io.fault
         lines = [r.getMessage() for r in caplog.records if "it does not count, the robot goes on" in r.getMessage()]
+        assert "imu: its stamp is " in lines.pop(0)
         assert 1 <= len(lines) <= 5 and "is not finite" in lines[0] and "jumped by 1 rad" in lines[1]
 
     def test_a_second_inertial_unit_does_not_make_it_fall(

@@ -74,6 +74,18 @@ def test_the_way_is_that_of_the_turning_point_from_wherever_the_driver_counts(ro
     np.testing.assert_allclose(way_at(way, 1.0), [0.6, 1.0], atol=1e-9)
 
 
+@pytest.mark.parametrize("jump", [(1.0, 0.0, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.5)])
+def test_a_driver_that_counts_from_elsewhere_moves_nobody(robot: RobotModel, jump: tuple[float, float, float]) -> None:
+    """As one that resets its odometry while it goes on publishing: the estimate went along, and the base drove the jump back."""
+    way = BaseWay(robot)
+    way.read(odometry(10.0, np.zeros(3)))
+    with pytest.raises(InputError, match=r"base odometry: it jumped by .* in 20 ms, faster than the base can move"):
+        way.read(odometry(10.02, np.array(jump)))
+    way.reset()
+    way.read(odometry(10.04, np.array(jump)))
+    np.testing.assert_allclose(way_at(way, 10.04), np.zeros(2), atol=1e-12)
+
+
 def test_the_driver_gets_what_the_base_does(robot: RobotModel) -> None:
     message = odometry(0.0, np.zeros(3), [0.3, -CENTER * 0.5, 0.5])
     np.testing.assert_allclose(ordered_speeds(robot, message), [0.3, 0.5])

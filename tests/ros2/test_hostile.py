@@ -11,7 +11,7 @@ from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError
 from wbmpc.ros2.bus import Qos
-from wbmpc.ros2.convert import LONGEST, error_message, read_pose, read_vector
+from wbmpc.ros2.convert import LONGEST, error_message, read_pose, read_vector, stamp
 from wbmpc.ros2.deferred import MAX_MESSAGES, Deferred
 from wbmpc.ros2.joints import read_imu
 from wbmpc.ros2.network import Network
@@ -21,6 +21,7 @@ pytestmark = needs_dds
 if not MISSING:
     from cyclonedds.internal import load_cyclonedds
 
+    from wbmpc.ros2.messages import types
 
 NETWORK = Network.of({**private(), "ROS_DOMAIN_ID": "57"})
 STRING = "std_msgs/msg/String"
@@ -103,6 +104,13 @@ def test_the_middleware_has_no_line_for_each_malformed_message(
     assert ("deserialization failed" in capfd.readouterr().err) is written
 
 
+@pytest.mark.parametrize(("time", "sec"), [(2.0**31 + 3.3, 2**31 - 1), (-3e9, -(2**31))])
+def test_a_time_that_no_stamp_can_say_is_the_nearest_one(time: float, sec: int) -> None:
+    """A /clock of 2³¹ − 1 s and 2³² − 1 ns, as its fields can say it, ended the node by the stamp of its log line."""
+    kind, t = "rosgraph_msgs/msg/Clock", types("jazzy")
+    assert t.decode(kind, t.encode(kind, {"clock": stamp(time)})).clock.sec == sec
+
+
 @pytest.mark.parametrize("error", [InputError("frame '{}'; valid: odom"), ValueError("frame '{}'; valid: odom")])
 def test_what_is_quoted_is_one_short_line(error: Exception) -> None:
     """Nobody writes lines into our log, or megabytes."""
@@ -156,7 +164,8 @@ def test_what_fails_beside_the_control_does_not_end_the_run(
     def fails() -> None:
         raise InputError("wrench: numbers of 1e+09 at most are needed")
 
-    p.control.publishers.publish = fails
+    p.control.publishers.publish = p.control.rosout.send = fails
     for _ in range(20):
         p.control.step()
+    del p.control.rosout.send
     assert 1 <= sum("wrench: numbers of 1e+09" in r.getMessage() for r in caplog.records) <= 5

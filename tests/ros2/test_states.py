@@ -202,6 +202,27 @@ def test_a_jump_that_the_next_message_confirms_is_true_for_who_would_fall(confir
     assert taken == [True, True, False, True, False, confirmed, False, confirmed]
 
 
+@pytest.mark.parametrize("ahead", [0.3, 1000.0])
+def test_a_single_stamp_ahead_does_not_count_for_who_would_fall(ahead: float) -> None:
+    """One message with a wrong stamp made every later one too old, and let the robot fall; a clock that was set forward is confirmed by the
+    second one, as is a driver that was silent."""
+    robot = load_robot("rezero")
+    reader = JointReader(robot, settings_of(robot)(), confirmed=True)
+
+    def read(at: float) -> bool:
+        stamped = header(at, "")["stamp"]
+        head = SimpleNamespace(stamp=SimpleNamespace(**stamped))
+        try:
+            reader.read(SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head))
+        except InputError as error:
+            assert f"their time jumped ahead by {ahead:.3g} s" in str(error)
+            return False
+        return True
+
+    assert [read(at) for at in (5.0, 5.0 + ahead, 5.0025, 5.005)] == [True, False, True, True]
+    assert [read(at) for at in (5.005 + ahead, 5.0075 + ahead)] == [False, True]
+
+
 def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its_first_commands() -> None:
     """Truth: the limit of the watchdog that the file gives, without and with lockstep."""
     assert SwerveRosSettings(safety=Safety(watchdog=0.05)).held_up == 0.05

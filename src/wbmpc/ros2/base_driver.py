@@ -12,7 +12,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import header, planar, pose, read_pose, read_vector, seconds, vector
-from wbmpc.ros2.joints import JointSample
+from wbmpc.ros2.joints import SPEED_FACTOR, SPEED_REST, JointSample
 
 Array = np.ndarray
 #: Between two messages the way goes on with the speed of the last one for so long [s] at most.
@@ -38,10 +38,13 @@ class BaseWay:
 
     def __init__(self, robot: RobotModel) -> None:
         self._twist, self._inverse = robot.base.twist, np.linalg.pinv(robot.base.twist)
+        limits, speeds = robot.limits, robot.input["base"]
+        fastest = np.maximum(np.abs(limits.input_lower[speeds]), np.abs(limits.input_upper[speeds]))
+        self._fastest = np.abs(self._twist) @ fastest  # in each direction of the frame [m/s, m/s, rad/s]
         self._seen: _Seen | None = None
 
     def read(self, message: Any) -> None:
-        """Take in a message. One from before the last is an error."""
+        """Take in a message. One from before the last, or farther from it than the base can move, is an error."""
         at = planar(*read_pose(message.pose.pose, "base odometry"))
         linear, angular = (read_vector(getattr(message.twist.twist, n), "base odometry") for n in ("linear", "angular"))
         stamp, last = seconds(message.header.stamp), self._seen
@@ -50,8 +53,15 @@ class BaseWay:
         way = np.zeros(len(self._inverse)) if last is None else last.way
         speeds = self._inverse @ [linear[0], linear[1], angular[2]]
         if last is not None and last.pose is not None:
-            turn = 0.5 * float(self._twist[2] @ (last.speeds + speeds)) * (stamp - last.stamp)
-            way = way + self._inverse @ _arc(last.pose, at, turn)
+            passed = stamp - last.stamp
+            turn = 0.5 * float(self._twist[2] @ (last.speeds + speeds)) * passed
+            moved = _arc(last.pose, at, turn)
+            if np.any(np.abs(moved) > SPEED_FACTOR * self._fastest * passed + SPEED_REST):
+                far, turned = float(np.hypot(*moved[:2])), abs(float(moved[2]))
+                raise InputError(
+                    f"base odometry: it jumped by {far:.3g} m and {turned:.3g} rad in {1e3 * passed:.3g} ms, faster than the base can move"
+                )
+            way = way + self._inverse @ moved
         self._seen = _Seen(stamp, at, way, speeds)
 
     def reset(self) -> None:

@@ -16,7 +16,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.commanders import Commanders
+from wbmpc.ros2.commanders import LINGERS, Commanders
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.external_pose import ExternalPose
 from wbmpc.ros2.goals import Task
@@ -124,7 +124,7 @@ class ControlNode:
         self.yield_to_controller()
         parts = (
             self.adapter.inspect, self.obstacles.update, self.leg_control.update, self._send_setpoints, self.health.update,
-            self.publishers.publish,
+            self.publishers.publish, self.rosout.send,
         )  # fmt: skip
         for update in parts:
             try:
@@ -135,7 +135,6 @@ class ControlNode:
             self._logged = self.state
             if self.runner is None or not self.runner.stopped:  # a stop is reported by the runner
                 self._limit.log(_LOG, logging.INFO, self.state.split(":")[0], self.state)
-        self.rosout.send()
 
     def close(self) -> None:
         """Bring the robot to rest and end."""
@@ -341,7 +340,8 @@ class ControlNode:
         if not isinstance(self.clock, BusClock):
             return ""
         silence = self.settings.silence(self.clock.speed)
-        return self.clock.lost(silence, lambda: bool(self.node.publishers("/clock")))
+        # to a process that was held up for longer than a lease all others have left, and come back at once
+        return self.clock.lost(silence, lambda: bool(self.node.publishers("/clock", LINGERS)))
 
     def _check_clock(self) -> None:
         if not isinstance(clock := self.clock, BusClock):

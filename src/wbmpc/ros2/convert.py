@@ -16,6 +16,8 @@ Array = np.ndarray
 LONGEST = 300
 #: No position [m, rad], speed or force is farther from 0, nor the turns of a wheel: what follows would overflow.
 LARGEST_NUMBER = 1e7
+#: The first and the last second that a stamp can say.
+_FIRST, _LAST = -(2**31), 2**31 - 1
 
 
 def error_message(error: Exception) -> str:
@@ -29,8 +31,8 @@ def error_message(error: Exception) -> str:
 
 
 def stamp(seconds: float) -> dict[str, int]:
-    """A time [s] as a stamp."""
-    nanoseconds = round(seconds * 1e9)
+    """A time [s] as a stamp, or the nearest one that there is: a clock on the bus may say any time."""
+    nanoseconds = round(min(max(seconds, _FIRST), _LAST) * 1e9)
     return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
 
 

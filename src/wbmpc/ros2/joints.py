@@ -14,8 +14,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import check_numbers, read_vector, seconds
 from wbmpc.ros2.settings import RosSettings, joint_groups
 
-#: A joint may move this often its speed limit, and by this [rad] besides, between two messages.
-_SPEED_FACTOR, _SPEED_REST = 2.0, 0.05
+#: A joint, or a base, may move this often its speed limit, and by this [m, rad] besides, between two messages.
+SPEED_FACTOR, SPEED_REST = 2.0, 0.05
 #: So long [s] joints that go on may not have been heard where their time went back.
 _MISSED = 0.1
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
@@ -48,8 +48,8 @@ class JointSample:
 class JointReader:
     """JointState messages to samples; what is wrong with a message is an :class:`InputError`.
 
-    ``confirmed``: of a robot that falls when its states are missing only the first message of a jump is wrong: a second one
-    that agrees with it is true, for joints of a robot that is hit move faster than their drives can.
+    ``confirmed``: of a robot that falls when its states are missing only the first message of a jump, also of its time ahead, is
+    wrong: a second one that agrees with it is true, for joints of a robot that is hit move faster than their drives can.
     """
 
     def __init__(self, robot: RobotModel, settings: RosSettings, confirmed: bool = False) -> None:
@@ -62,7 +62,8 @@ class JointReader:
         self._order: tuple[list[str], np.ndarray] | None = None
         self._last: tuple[float, np.ndarray] | None = None
         self._confirmed = confirmed
-        self._doubted: np.ndarray | None = None
+        self._doubted: tuple[float, np.ndarray] | None = None
+        self._gap = settings.safety.watchdog
 
     def read(self, message: Any) -> JointSample:
         """Check and sort a message. A message that is older than the last one is an error too."""
@@ -89,7 +90,7 @@ class JointReader:
         """Whether a joint is farther in one sample than in the other than it moves within :data:`_MISSED`."""
         groups = [g for g, names in self.groups.items() if names]
         moved = np.abs(np.concatenate([one.groups[g] - other.groups[g] for g in groups]))
-        return bool(np.any(moved > _SPEED_FACTOR * self._speed * _MISSED + _SPEED_REST))
+        return bool(np.any(moved > SPEED_FACTOR * self._speed * _MISSED + SPEED_REST))
 
     def concerns(self, message: Any) -> bool:
         """Whether a message names one of our joints: others of a robot, as a gripper's, may have a publisher of their own."""
@@ -120,10 +121,14 @@ class JointReader:
         interval, moved = stamp - self._last[0], np.abs(values - self._last[1])
         if interval < 0.0:
             raise InputError(f"joint states: their time went back by {-interval:.3f} s")
-        far = moved - (_SPEED_FACTOR * self._speed * interval + _SPEED_REST)
-        doubted, self._doubted = self._doubted, values
-        if self._confirmed and doubted is not None and np.abs(values - doubted).max() < _AGREE:
-            return
+        far = moved - (SPEED_FACTOR * self._speed * interval + SPEED_REST)
+        doubted, self._doubted = self._doubted, (stamp, values)
+        if self._confirmed and doubted is not None:
+            near = abs(stamp - doubted[0]) <= self._gap
+            if near and np.abs(values - doubted[1]).max() < _AGREE:
+                return
+        if self._confirmed and interval > self._gap:
+            raise InputError(f"joint states: their time jumped ahead by {interval:.3g} s")
         if np.any(far > 0.0):
             k = int(np.argmax(far))
             raise InputError(

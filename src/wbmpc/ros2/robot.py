@@ -108,6 +108,8 @@ class BusRobot:
         previous, arrival = self._joints, time.perf_counter()
         if previous is not None:
             self._follow_series(previous[0], sample)
+            if sample.stamp < previous[0].stamp:  # what is known is the delay of another clock, or of a wrong stamp
+                self._behind = np.inf
         sample = replace(sample, series=self._series)
         if self._way is not None:  # both or neither: an estimate takes a way that stands for rest
             if not self._way_goes_on(sample.stamp, arrival):
@@ -124,6 +126,9 @@ class BusRobot:
             return
         try:
             taken, at = read_imu(message), seconds(message.header.stamp)
+            off = at - self.clock.stamp() if isinstance(self.clock, BusClock) else 0.0
+            if abs(off) > self.settings.safety.watchdog and self.adapter.must_keep_running:
+                raise InputError(f"imu: its stamp is {off:.3g} s off /clock")
         except InputError as error:
             self._note("imu", error_message(error))
             return
@@ -219,8 +224,7 @@ class BusRobot:
             return without_way
         if self._joints is None:
             return f"no joint states on {self.settings.topics.joint_states} yet"
-        age = self.age()
-        limit = self.settings.safety.watchdog
+        age, limit = self.age(), self.settings.safety.watchdog
         if age < -limit:
             return f"the joint states on {self.settings.topics.joint_states} are stamped {-age:.3g} s ahead of /clock"
         if age > limit:
@@ -355,8 +359,7 @@ class BusRobot:
 
     def _silent_imu(self) -> float:
         assert self._inertial is not None
-        now = self.clock.stamp() if isinstance(self.clock, BusClock) else time.perf_counter()
-        return now - self._inertial[1]
+        return (self.clock.stamp() if isinstance(self.clock, BusClock) else time.perf_counter()) - self._inertial[1]
 
     def write(self, command: Any) -> None:
         """Send a command to all controllers."""
@@ -370,10 +373,9 @@ class BusRobot:
 
         To be called again and again.
         """
-        now = time.perf_counter()
+        now, ramp = time.perf_counter(), self.settings.safety.ramp
         if self._stopping is None:
             self._stopping = now
-        ramp = self.settings.safety.ramp
         if now - self._stopping > ramp + ZEROS and not self._armed:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0

@@ -20,6 +20,7 @@ from wbmpc.robots.frames import SUFFIX, FixedFrame, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.base_driver import SimulatedDriver, ordered_speeds
 from wbmpc.ros2.bus import DEFAULT, LATCHED, LONG, SMALL, Node, Qos
+from wbmpc.ros2.commanders import LINGERS
 from wbmpc.ros2.convert import check_numbers, error_message, header, pose, quaternion, stamp, vector
 from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
@@ -244,7 +245,9 @@ class SimNode:
             with self._changed:
                 there = self._changed.wait_for(answered, AGAIN)
             if not there:
-                if not all(any(not e.own for e in self.node.publishers(c.topic)) for c in self._controllers.values()):
+                # those that have just left too: to a process that was held up all others have, and come back at once
+                sent = [self.node.publishers(c.topic, LINGERS) for c in self._controllers.values()]
+                if not all(any(not e.own for e in found) for found in sent):
                     break
                 self.publish()
         self._lost = not answered()

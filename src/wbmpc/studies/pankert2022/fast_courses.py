@@ -161,7 +161,7 @@ class SCurve(BasePath):
     kind: Literal["s-curve"] = "s-curve"
     width: float = Field(0.8, ge=0.0, le=10)
 
-    WEIGHTS: ClassVar[dict[str, float]] = {"input": 0.05, "contour": 10.0, "progress": 10.0}
+    WEIGHTS: ClassVar[dict[str, float]] = {"input": 0.05, "contour": 20.0, "progress": 10.0}
     GOALS: ClassVar[dict[str, float]] = {"path_error_max": 0.015, "wheel_slip_max": 0.05, "time_unloaded": 0.1}
 
     def turns(self) -> list[tuple[float, float]]:
