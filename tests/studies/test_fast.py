@@ -74,7 +74,14 @@ def test_pillars_of_the_slalom_are_in_the_way_of_a_straight_base_and_beside_the_
 
 def test_a_short_slalom_touches_nothing_and_lifts_no_wheel() -> None:
     experiment = load("swerve-fast")
-    course = ["course=slalom", "course.pillars=1", "course.first=2.0", "course.length=4.0", "after=4", "calibration=none"]
+    course = [
+        "course=slalom",
+        "course.pillars=1",
+        "course.first=2.0",
+        "course.length=4.0",
+        "after=4",
+        "calibration=none",
+    ]
     found = experiment.run(configure(experiment.config_type, course, "swerve-fast"), 1)
     values = {name: metric.value for name, metric in found.metrics.items()}
     assert found.outcome == "completed"

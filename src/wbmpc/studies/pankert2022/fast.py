@@ -34,8 +34,8 @@ NAME = "swerve-fast"
 class SwerveFastSettings(TaskSettings):
     """``course``: sideways (:class:`Sideways`), an s-curve (:class:`SCurve`) or a slalom (:class:`Slalom`); ``after`` [s]: how long the robot
     is watched from the order on (left out: as the course needs); ``legs``: configuration of hinged legs. ``weights`` are factors on top of
-    the course's own. What wheels that are not calibrated let odometry believe is more than plans are off their path. Wheels are of one size: a stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever
-    is planned."""
+    the course's own. Odometry of wheels that are not calibrated is farther off than the plan is from its path. Wheels are of one size: a
+    stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
     plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
