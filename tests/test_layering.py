@@ -221,6 +221,22 @@ def test_importing_has_no_side_effects(tmp_path: Path) -> None:
     assert not (tmp_path / "cache").exists()
 
 
+def of_the_machine(text: str) -> list[str]:
+    """Functions with a default that is made of the machine when a module is imported: generated pages show it."""
+    functions = (n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef))
+    return [
+        f.name
+        for f in functions
+        for default in (*f.args.defaults, *f.args.kw_defaults)
+        if default is not None and re.search(r"\b(environ|getenv|cwd|getcwd|home|gettempdir)\b", ast.unparse(default))
+    ]
+
+
+def test_no_default_is_of_the_machine() -> None:
+    assert [(p.name, found) for p in MODULES if (found := of_the_machine(p.read_text()))] == []
+    assert of_the_machine("def of(a=os.environ, *, b=Path.home()): ...") == ["of", "of"]
+
+
 def test_every_public_name_exists() -> None:
     import wbmpc
 

@@ -150,12 +150,12 @@
       gl.depthMask(s.color[3] > 0.99); gl.bindVertexArray(s.array); gl.drawArrays(gl.TRIANGLES, 0, s.count);
     }
     gl.depthMask(true);
-    find("output").textContent = `${now.toFixed(1)} s of ${part.at[part.at.length - 1].toFixed(1)} s`;
   };
   const redraw = () => { if (!asked) { asked = true; requestAnimationFrame(draw) } };
   const slider = find("input[type=range]"), button = find(".play");
   const show = t => {
     now = Math.min(Math.max(t, part.at[0]), part.at[part.at.length - 1]); slider.value = now; redraw();
+    find("output").textContent = `${now.toFixed(1)} s of ${part.at[part.at.length - 1].toFixed(1)} s`;
     document.dispatchEvent(new CustomEvent("replay-time", { detail: now }));
   };
   const play = on => { playing = on; button.textContent = on ? "Pause" : "Play"; last = performance.now(); if (on) requestAnimationFrame(step) };

@@ -34,11 +34,13 @@ class Network:
     distribution: str = "jazzy"
 
     @classmethod
-    def of(cls, environment: Mapping[str, str] = os.environ) -> Network:
-        """ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY, ROS_STATIC_PEERS, ROS_DISTRO, CYCLONEDDS_URI.
+    def of(cls, environment: Mapping[str, str] | None = None) -> Network:
+        """ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY, ROS_STATIC_PEERS, ROS_DISTRO, CYCLONEDDS_URI of an
+        ``environment`` (left out: the process's own).
 
         Raises :class:`InputError` naming the variable and what is valid.
         """
+        environment = os.environ if environment is None else environment
         reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() or "SUBNET"
         if reach not in RANGES:
             raise InputError(f"ROS_AUTOMATIC_DISCOVERY_RANGE: '{reach}' is not known; valid: {', '.join(RANGES)}")
