@@ -26,7 +26,15 @@ os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.envir
 project = "wbmpc"
 author = "the wbmpc authors"
 copyright = "the wbmpc authors, BSD-3-Clause"
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "generated_pages", "notebooks", "quick", "table_age"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "generated_pages",
+    "notebooks",
+    "quick",
+    "table_age",
+]
 root_doc = "index"
 exclude_patterns = ["_build", "reference/_*.md"]
 # ref.python: a type in a signature may be re-exported by another module

@@ -158,12 +158,21 @@ class Client:
 
     @property
     def alive(self) -> bool:
-        """Whether the server still has this connection."""
+        """Whether the server still answers on this connection. What came before the answer is taken in: a client that reads nothing hears
+        no answer either."""
+        deadline = time.monotonic() + 20.0
         try:
-            self.socket.ping().wait(10.0)
+            answered = self.socket.ping()
+            while not answered.is_set() and time.monotonic() < deadline:
+                self._receive(0.05)
         except ConnectionClosed:
             return False
-        return True
+        return answered.is_set()
+
+    def drop(self) -> None:
+        """End the connection without a word, as a browser that is killed: one that reads nothing more would be waited for."""
+        with suppress(OSError):
+            self.socket.socket.shutdown(socket.SHUT_RDWR)
 
 
 CAMERA: dict[str, Any] = {

@@ -182,6 +182,7 @@ def test_a_flood_of_one_page_leaves_the_server_to_others() -> None:
         assert other.alive
         seconds = time.monotonic() - start
         ended.set()
+        flooding.drop()
         thread.join()
         assert sum(raw == b"\xc1" for raw in taken) < 300 + 500 * (seconds + 1.0)
         assert not any("Not done" in text for text in other.history)
@@ -217,6 +218,8 @@ def test_messages_that_are_right_are_no_flood_either() -> None:
         count = sum(b"TransformControls" in raw for raw in list(taken))
         seconds = time.monotonic() - start
         ended.set()
+        for client in (flooding, other):
+            client.drop()
         thread.join()
         assert count < 300 + 500 * seconds
     finally:
