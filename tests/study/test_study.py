@@ -98,7 +98,8 @@ ROW = {"key": "a-1", "experiment": "VALLEY", "outcome": "completed"}
 FOREIGN: tuple[dict[str, Any], ...] = (
     {"outcome": None}, {"metrics": 5}, {"metrics": {"e": "x"}}, {"metrics": {"f": 1.0}}, {"about": {"e": {}}}, {"about": 5},
     {"about": {"e": {"unit": 5}}}, {"about": {"e": {"unit": "m", "goal": "x"}}}, {"seed": "x"}, {"seed": 2**70}, {"draw": 1.5},
-    {"about": {"e": {"unit": "m", "goal": 1.0}}}, {"varied": [1]}, {"changes": 5}, {"timing": [1]}, {"timing": {"a": "x"}}, {"wall_time": "x"}, {"condition": 5},
+    {"about": {"e": {"unit": "m", "goal": 1.0}}},
+    {"varied": [1]}, {"changes": 5}, {"timing": [1]}, {"timing": {"a": "x"}}, {"wall_time": "x"}, {"condition": 5},
 )  # fmt: skip
 
 
@@ -135,7 +136,9 @@ def test_a_table_of_another_program_is_an_error(columns: dict[str, Any], says: s
                 read()
 
 
-@pytest.mark.parametrize("goals", [b"{", b"[]", b'{"a": {"e": {"goal": "x"}}}', b'{"a": {"e": {"goal": 1.0}}}', b"\xff", b"[" * 100_000])
+@pytest.mark.parametrize(
+    "goals", [b"{", b"[]", b'{"a": {"e": {"goal": "x"}}}', b'{"a": {"e": {"goal": 1.0}}}', b"\xff", b"[" * 100_000]
+)
 def test_goals_of_another_program_are_an_error(goals: bytes, tmp_path: Path) -> None:
     import pyarrow
     import pyarrow.parquet
