@@ -40,6 +40,17 @@ def test_metrics_and_settings(runs: list[dict], capsys: pytest.CaptureFixture[st
     assert data["settings"] == {"seed": [1, 2], "mpc.rate": [50.0, 80.0]}
 
 
+def test_brackets_in_names_are_no_markup(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
+    for name in "ab":
+        path = Path(name, "metrics.json")
+        data = json.loads(path.read_text())
+        data["metrics"] |= {"speed [m/s]": {"value": 1.0, "unit": "m"}, "x[/b]y": {"value": 2.0, "unit": "[/c]"}}
+        path.write_text(json.dumps(data))
+    assert main(["compare", "a", "b"]) == 0
+    printed = capsys.readouterr().out
+    assert all(text in printed for text in ("speed [m/s]", "x[/b]y", "[/c]"))
+
+
 def test_outcomes_lead_the_table(runs: list[dict], capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
     assert main(["run", "fake", "--set", "fall_at=1.0", "--out", "fallen", "--json"], REGISTRY) != 0
     outcome = json.loads(capsys.readouterr().out)["outcome"]

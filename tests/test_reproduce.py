@@ -159,6 +159,21 @@ def test_goals_are_ranges_and_least_values_too(tmp_path: Path) -> None:
     assert "≥ 10" in page and "195 to 206" in page and "1 of 3 goals pass; short: fake: torque, fake: low." in page
 
 
+def test_the_files_of_a_site_are_not_trusted(tmp_path: Path) -> None:
+    """A site's folder may come from somebody else: texts stay texts, also names of folders, and what is damaged is named."""
+    (job,), about = plan(["javascript:alert(1)"], [3], tmp_path), {"outcome": "<script>", "metrics": {}}
+    job.directory.mkdir(parents=True)
+    job.mark.touch()
+    file = job.directory / "metrics.json"
+    file.write_text(json.dumps(about))
+    page = write_site([job], {}, tmp_path, clips=False).read_text()
+    assert "1 &lt;script&gt;" in page and 'href="javascript:' not in page
+    for wrong in ({"versions": []}, {"versions": {"a": 1}}, {"targets": {"x": {"goal": "1"}}}, {"idealisations": 3}):
+        file.write_text(json.dumps({**about, **wrong}))
+        with pytest.raises(InputError, match=f"metrics.json: keys? .*{next(iter(wrong))}"):
+            write_site([job], {}, tmp_path, clips=False)
+
+
 def test_a_site_without_any_result(tmp_path: Path) -> None:
     jobs = plan(["fake"], [1], tmp_path)
     index = write_site(jobs, run_all(jobs, 1, None, crash), tmp_path, clips=False)

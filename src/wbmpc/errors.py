@@ -65,7 +65,8 @@ class SolveFailed(WbmpcError):
 
 
 class SolverBusy(WbmpcError, RuntimeError):
-    """A solver or an MPC was called from a second thread while it works for another one, or an MPC from its own guess."""
+    """A solver or an MPC was called from a second thread while it works for another one, or from within its own call: an MPC by
+    its guess, either by a signal's handler."""
 
 
 class KernelError(WbmpcError):

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
@@ -145,7 +146,7 @@ def _finish(job: Job, code: int) -> str:
     if code in _FINISHED and (job.directory / "metrics.json").is_file():
         job.mark.touch()
         return ""
-    lines = (job.directory / "errors.txt").read_text().strip().splitlines()
+    lines = (job.directory / "errors.txt").read_text(errors="replace").strip().splitlines()
     return lines[-1] if lines else f"the process ended with code {code}"
 
 
@@ -167,7 +168,7 @@ def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     values = [r["metrics"][name]["value"] for r in having]
     # a figure that is not finite is null in the file: as bad as can be
     known = [float("inf") if v is None else float(v) for v in values]
-    target = having[0].get("targets", {}).get(name, {})
+    target = having[0]["targets"].get(name, {})
     median, bounds = statistics.median(known), {key: target.get(key) for key in ("paper", "goal", "least")}
     unit = having[0]["metrics"][name]["unit"]
     # a run that did not complete reaches no goal, whatever it measured before its end, and also if it had no time to measure
@@ -182,7 +183,7 @@ def _spread(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _outcome(run: dict[str, Any]) -> str:
     """How a run ended, in one word; of files without it as far as it is known."""
-    return str(run.get("outcome") or ("completed" if run["completed"] else "gave_up"))
+    return run.get("outcome") or ("completed" if run.get("completed") else "gave_up")
 
 
 _OUTCOME = {True: '<span class="met">pass</span>', False: '<span class="missed">falls short</span>', None: ""}
@@ -219,11 +220,11 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
         paper = {
             n: m for n, m in found[name]["metrics"].items() if any(m[k] is not None for k in ("paper", "goal", "least"))
         }
-        failed_how = "".join(f", {n} {how}" for how, n in sorted(outcomes.items()) if how != "completed")
+        failed_how = "".join(f", {n} {html.escape(how)}" for how, n in sorted(outcomes.items()) if how != "completed")
         count = f"{outcomes['completed']} of {len(found[name]['runs'])} runs completed{failed_how}" + (
             f", {len(lost)} gave no result" if lost else ""
         )
-        link = f'<a href="{html.escape(name)}/index.html">{html.escape(name)}</a>'
+        link = f'<a href="{html.escape(quote(os.fsencode(name)))}/index.html">{html.escape(name)}</a>'
         sections.append(f"<h2>{link}</h2><p class=sub>{count}.</p>{table(_HEADER, _metric_rows(paper), {2, 3, 4, 5})}")
     about = (
         "Ours: simulated in MuJoCo, plant perturbed; paper: the real robot. Medians over seeds are judged against the goals; "
@@ -248,7 +249,7 @@ def _versions(found: dict[str, Any]) -> str:
     runs = [run for entry in found.values() for run in entry["runs"].values()]
     rows: dict[str, list[str]] = {}
     for run in runs:
-        for key, value in run.get("versions", {}).items():
+        for key, value in run["versions"].items():
             rows.setdefault(key, [])
             rows[key] += [value] if value not in rows[key] else []
     cells = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(', '.join(v))}</dd>" for k, v in rows.items())
@@ -258,7 +259,7 @@ def _versions(found: dict[str, Any]) -> str:
 def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], clip: str) -> str:
     runs = []
     for seed, run in entry["runs"].items():
-        state = "completed" if run["completed"] else html.escape(f"{_outcome(run)}: {run['reason']}")
+        state = "completed" if run.get("completed") else html.escape(f"{_outcome(run)}: {run.get('reason') or ''}")
         runs.append([f'<a href="seed{seed}/report.html">seed {seed}</a>', state])
     runs += [[f"seed {seed}", f"no result: {html.escape(reason)}"] for seed, reason in lost.items()]
     shown, first = next(iter(entry["runs"].items()))

@@ -33,7 +33,8 @@ _BROKEN_ARCHIVE = (*_DAMAGED, zipfile.BadZipFile, zlib.error, NotImplementedErro
 
 
 def read_metrics(path: Path) -> dict[str, Any]:
-    """A metrics.json: ``metrics`` (value or None, and unit, by name) and ``settings`` are mappings, empty where they are missing.
+    """A metrics.json: ``metrics`` (value or None, and unit, by name), ``targets`` (numbers by metric), ``settings`` and ``versions`` are
+    mappings, ``idealisations`` are texts, empty where they are missing.
 
     Raises :class:`InputError` naming file and key.
     """
@@ -48,12 +49,24 @@ def read_metrics(path: Path) -> dict[str, Any]:
     ):
         if data.get(key) is not None and not isinstance(data[key], kind):
             raise InputError(f"{path}: key '{key}': {name} is needed, got {data[key]!r:.60}")
-    for key in ("metrics", "settings"):
+    for key in ("metrics", "settings", "targets", "versions"):
         if not isinstance(data.setdefault(key, {}), dict):
             raise InputError(f"{path}: key '{key}': an object is needed, got {data[key]!r:.60}")
     for name, metric in data["metrics"].items():
         check_metric(f"{path}: key 'metrics.{name}'", metric)
+    for name, target in data["targets"].items():
+        _check_target(f"{path}: key 'targets.{name}'", target)
+    texts = data.setdefault("idealisations", [])
+    if not isinstance(texts, list) or not all(isinstance(t, str) for t in (*texts, *data["versions"].values())):
+        raise InputError(f"{path}: keys 'idealisations' and 'versions': texts are needed")
     return data
+
+
+def _check_target(where: str, target: Any) -> None:
+    """Raise :class:`InputError` unless a metric's goals are numbers or None."""
+    numbers = [target.get(key) for key in ("paper", "goal", "least")] if isinstance(target, dict) else [""]
+    if not all(v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in numbers):
+        raise InputError(f"{where}: an object with numbers is needed, got {target!r:.60}")
 
 
 def check_metric(where: str, metric: Any) -> None:

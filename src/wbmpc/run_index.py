@@ -89,17 +89,12 @@ def _read(path: Path) -> Entry:
     try:
         ended = datetime.fromtimestamp(path.stat().st_mtime, UTC)
         data = read_metrics(path)
-        targets, seed = data.get("targets", {}), data.get("seed")
-        metrics = {name: _metric(m, targets.get(name, {})) for name, m in data["metrics"].items()}
-        commit = str(data.get("versions", {}).get("commit", ""))
+        seed, commit = data.get("seed"), data["versions"].get("commit", "")
+        metrics = {name: _metric(m, data["targets"].get(name, {})) for name, m in data["metrics"].items()}
     except OSError as error:  # a link that leads nowhere
         return Entry(path.parent, ended, outcome="unreadable", note=f"{path}: cannot be read ({error.strerror})")
-    except InputError as error:
+    except (InputError, ValueError, OverflowError) as error:  # the latter of times of no calendar
         return Entry(path.parent, ended, outcome="unreadable", note=str(error))
-    except (AttributeError, TypeError, ValueError) as error:
-        return Entry(
-            path.parent, ended, outcome="unreadable", note=f"{path}: targets or versions are no objects ({error})"
-        )
     completed = data.get("completed") is True
     return Entry(
         path.parent, ended, data.get("experiment") or "", seed if isinstance(seed, int) else None, completed,

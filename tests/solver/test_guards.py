@@ -290,6 +290,36 @@ def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
         fine.warm_start(x)
 
 
+@pytest.mark.parametrize("what", ["solve", "update"])
+def test_a_handler_that_solves_in_the_middle_of_a_solve_is_an_error(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program's own timer has a handler that solves, too. Truth: a solver without one."""
+    lq, _ = linear()
+    mpc, plain = wb.MPC(lq.problem()), wb.MPC(lq.problem())
+
+    def call(one: wb.MPC, x0: np.ndarray) -> np.ndarray:
+        one.reset(x0)
+        return one.solver.solve(x0).u if what == "solve" else one.update(wb.Observation(0.0, x0)).u
+
+    def handler(*_: object) -> None:
+        with pytest.raises(SolverBusy, match="a signal's handler"):
+            _ = mpc.solver.solve(2.0 * lq.x0) if what == "solve" else mpc.update(wb.Observation(0.0, 2.0 * lq.x0))
+        came.append(1)
+
+    came: list[int] = []
+    read, previous = mpc.solver.solution, signal.signal(signal.SIGUSR1, handler)
+
+    def interrupted(*outcome: float) -> object:
+        signal.raise_signal(signal.SIGUSR1)
+        return read(*outcome)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(mpc.solver, "solution", interrupted)
+    try:
+        np.testing.assert_array_equal(call(mpc, lq.x0), call(plain, lq.x0))
+    finally:
+        signal.signal(signal.SIGUSR1, previous)
+    assert came
+
+
 def test_a_guess_that_calls_its_own_update_is_one_error_and_the_mpc_goes_on() -> None:
     """Truth: an MPC without a guess."""
     lq = LinearQuadratic(4, 2, 0, n=10)

@@ -14,7 +14,7 @@ from valley import error
 from wbmpc.cli import main
 from wbmpc.errors import InputError, NotWritten
 from wbmpc.study.store import Store
-from wbmpc.study.study import Study
+from wbmpc.study.study import Study, row_about
 from wbmpc.study.work import execute
 
 pytest.importorskip("pyarrow")
@@ -98,6 +98,7 @@ ROW = {"key": "a-1", "experiment": "VALLEY", "outcome": "completed"}
 FOREIGN: tuple[dict[str, Any], ...] = (
     {"outcome": None}, {"metrics": 5}, {"metrics": {"e": "x"}}, {"metrics": {"f": 1.0}}, {"about": {"e": {}}}, {"about": 5},
     {"about": {"e": {"unit": 5}}}, {"about": {"e": {"unit": "m", "goal": "x"}}}, {"seed": "x"}, {"seed": 2**70}, {"draw": 1.5},
+    {"about": {"e": {"unit": "m", "goal": 1.0}}},
     {"varied": [1]}, {"changes": 5}, {"timing": [1]}, {"timing": {"a": "x"}}, {"wall_time": "x"}, {"condition": 5},
 )  # fmt: skip
 
@@ -135,7 +136,9 @@ def test_a_table_of_another_program_is_an_error(columns: dict[str, Any], says: s
                 read()
 
 
-@pytest.mark.parametrize("goals", [b"{", b"[]", b'{"a": {"e": {"goal": "x"}}}', b"\xff", b"[" * 100_000])
+@pytest.mark.parametrize(
+    "goals", [b"{", b"[]", b'{"a": {"e": {"goal": "x"}}}', b'{"a": {"e": {"goal": 1.0}}}', b"\xff", b"[" * 100_000]
+)
 def test_goals_of_another_program_are_an_error(goals: bytes, tmp_path: Path) -> None:
     import pyarrow
     import pyarrow.parquet
@@ -225,6 +228,18 @@ def test_a_report_has_what_a_killed_study_left(tmp_path: Path, monkeypatch: pyte
         made.report()
     assert (made.out / "journal.jsonl").is_file()
     assert made.report().finished == 20 and not (made.out / "journal.jsonl").exists()
+
+
+def test_rows_from_somebody_else_are_texts_in_the_page(tmp_path: Path) -> None:
+    made, hostile = Study.load(study(tmp_path), tmp_path / "out"), "</td><img src=x onerror=alert(1)>"
+    made.out.mkdir()
+    run = next(made.runs())
+    row = {**row_about(run), "outcome": hostile, "reason": hostile, "files": hostile, "commit": hostile}
+    row |= {"metrics": {hostile: 1.0}, "about": {hostile: {"unit": hostile, "paper": None, "goal": 1.0, "least": None}}}
+    (made.out / "journal.jsonl").write_text(json.dumps(row) + "\n")
+    assert made.report().finished == 1
+    page = (made.out / "index.html").read_text()
+    assert "&lt;img" in page and "<img" not in page.partition("<main>")[2]
 
 
 def test_the_command_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

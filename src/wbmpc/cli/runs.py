@@ -82,4 +82,4 @@ def _print_table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> None
         table.add_column(head, justify="right" if head in right else "left", overflow="fold")
     for row in rows:
         table.add_row(*(printable(str(cell)) for cell in row))
-    console().print(table, markup=False)
+    console().print(table)

@@ -160,8 +160,8 @@ def _print(found: Summary) -> None:
                 shown.add_column(head)
             for row in metric_rows(found, cells, metric):
                 shown.add_row(*map(printable, row))
-            typer.echo(f"{experiment}: {metric}")
-            console().print(shown, markup=False)
+            typer.echo(printable(f"{experiment}: {metric}"))
+            console().print(shown)
     for why, count in found.lost.items():
         typer.echo(f"{count} runs without a result: {printable(why)}")
     typer.echo(f"{found.finished} of {found.planned} runs")

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from wbmpc.errors import printable
@@ -43,10 +44,11 @@ def table(title: str | None = None) -> Table:
 
 
 def console() -> Console:
-    """Where tables are printed: as wide as the terminal; in a pipe wide enough for everything."""
+    """Where tables are printed: as wide as the terminal; in a pipe wide enough for everything. Texts stay texts: what stands in
+    brackets, as a unit in a metric's name, is no style."""
     from rich.console import Console
 
-    return Console() if sys.stdout.isatty() else Console(width=200, color_system=None)
+    return Console(markup=False) if sys.stdout.isatty() else Console(markup=False, width=200, color_system=None)
 
 
 def experiment_names(incomplete: str) -> list[str]:
@@ -72,7 +74,8 @@ def progress_bar(title: str, show: bool) -> Iterator[Callable[[float, str], None
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn())
+    text = partial(TextColumn, markup=False)
+    columns = (text("{task.description}"), BarColumn(), text("{task.fields[note]}"), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=1.0, note="")
         yield lambda fraction, note: bar.update(task, completed=fraction, note=note)

@@ -162,13 +162,12 @@ class MPC(Described):
 
     def update(self, observation: Observation) -> Policy:
         """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one, and
-        :class:`SolverBusy` while another thread is in this MPC, or a guess of its own."""
-        with self.solver.exclusive:
-            return self._update(observation)
+        :class:`SolverBusy` while another thread is in this MPC, a guess of its own or a signal's handler."""
+        return self.solver.exclusive.once("MPC.update", self._update, observation)
 
     def _update(self, observation: Observation) -> Policy:
         started = self._t is not None
-        usable = self.advance(observation)
+        usable = self._advance(observation)
         self.statistics.solves += 1
         if started:
             self.statistics.solve_times.append(self.solve_time)

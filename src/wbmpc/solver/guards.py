@@ -46,11 +46,13 @@ class Exclusive:
         return _stay if self._lock._is_owned() else self._lock.__exit__  # type: ignore[no-any-return]
 
     def once(self, name: str, work: Callable[[_Given], _Result], given: _Given) -> _Result:
-        """``work(given)`` within it, but not again before that has ended: a user's function that is called by it, as a guess is, may not call
-        ``name``, which called it."""
+        """``work(given)`` within it, but not again before that has ended: a user's function that is called by it, as a guess is, or that
+        interrupts it, as a signal's handler does, may not call ``name``, which works on the same memory."""
         with self:
             if self._running:
-                raise SolverBusy(f"{name}: called before its last call has ended, as by a guess of this very MPC")
+                raise SolverBusy(
+                    f"{name}: called before its last call has ended, as by a guess of its own or a signal's handler"
+                )
             try:
                 self._running = True
                 return work(given)

@@ -64,8 +64,6 @@ def _warn(why: str) -> None:
 class Solver(SolverResults):
     """A problem ``ocp`` bound to a solver with ``settings``: owns the kernel, the memory and the warm start.
 
-    ``use_cache``: take compiled code from the cache of this machine, and put it there.
-
     ``ocp``: the problem; ``settings`` of the solver; ``use_cache``: whether machine code is kept on the disk. For one thread at a time:
     who calls it while another thread is in it gets :class:`SolverBusy`.
     """
@@ -312,21 +310,23 @@ class Solver(SolverResults):
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].
 
         With ``throw`` a solve that does not converge raises :class:`SolveFailed` with the solution's message. Raises
-        :class:`SolverBusy` while another thread is in the solver.
+        :class:`SolverBusy` while another thread is in the solver, or this one, of which a signal's handler solves too.
         """
         x0 = self._start_state(x0)
         t0 = absolute_time("start of the horizon", t0)
         check_events(self, t0)
-        with self.exclusive, Interruptible():
-            start = time.perf_counter()
-            with self.hessian:
-                status, count = self._run_warm_or_cold(x0, t0)
-                elapsed = time.perf_counter() - start
-                solution = self.solution(status, count, elapsed)
-                if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
-                    solution = diagnose(self, solution)
+        solution = self.exclusive.once("Solver.solve", self._solve, (x0, t0))
         if throw and solution.status not in (Status.CONVERGED, Status.RELAXED):
             raise SolveFailed(str(solution))
+        return solution
+
+    def _solve(self, start: tuple[np.ndarray, float]) -> Solution:
+        with Interruptible(), self.hessian:
+            began = time.perf_counter()
+            status, count = self._run_warm_or_cold(*start)
+            solution = self.solution(status, count, time.perf_counter() - began)
+            if self.settings.compute_kkt or not solution.usable or solution.status is Status.LINE_SEARCH_FAILED:
+                solution = diagnose(self, solution)
         return solution
 
     def _run_warm_or_cold(self, x0: np.ndarray, t0: float) -> tuple[int, int]:

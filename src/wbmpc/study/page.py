@@ -126,7 +126,7 @@ def _failures(cells: Sequence[Cell], beside: Path) -> str:
             if how != "completed" or files:
                 link = quote(os.fsencode(os.path.relpath(Path(files) / "report.html", beside))) if files else ""
                 name = f"{html.escape(c.label)}, seed {seed}"
-                rows.append([f'<a href="{link}">{name}</a>' if link else name, how, html.escape(why)])
+                rows.append([f'<a href="{link}">{name}</a>' if link else name, html.escape(how), html.escape(why)])
     more = f"<p>and {len(rows) - MAX_FAILURES} more</p>" if len(rows) > MAX_FAILURES else ""
     if not rows:
         return ""

@@ -17,9 +17,9 @@ class _Target(BaseModel):
     """The paper's figure, largest and smallest value of a metric's goal."""
 
     model_config = ConfigDict(strict=True)
-    paper: float | None = None
-    goal: float | None = None
-    least: float | None = None
+    paper: float | None
+    goal: float | None
+    least: float | None
 
 
 class _About(_Target):
