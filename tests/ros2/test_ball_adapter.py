@@ -12,10 +12,13 @@ from needs import needs_dds
 from wbmpc.bases.ball.posture import EVALUATIONS, resting
 from wbmpc.bases.ball.ros import POSTURES, BallMessage, BallRosAdapter, bodies
 from wbmpc.bases.ball.ros_settings import BallRosSettings
-from wbmpc.errors import InputError
+from wbmpc.errors import FallPredicted, InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.ros2.clock import BusClock
+from wbmpc.ros2.control import ControlNode
+from wbmpc.ros2.convert import stamp
 from wbmpc.ros2.goals import EndEffectorTrack, Planner
-from wbmpc.ros2.joints import Series
+from wbmpc.ros2.joints import Inertial, Series
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import Speeds, Topics
 from wbmpc.runtime.clock import WallClock
@@ -130,6 +133,48 @@ def test_a_driver_whose_clock_was_set_back_is_not_late(
     for off in (0.0, *other, other[-1]):
         found = ages(off)  # none of the first message whose time went back
     assert found == pytest.approx([settings.state_age], abs=1e-4)
+
+
+def test_joint_states_that_come_late_let_no_robot_go_and_hold_one_that_balances(adapter: Any) -> None:
+    """By /clock: 50 ms after their stamps for 0.3 s, then in time."""
+    heard, held, clock = dict[str, Any](), list[str](), BusClock()
+    node: Any = SimpleNamespace(
+        subscribe=lambda topic, kind, take, *_, **__: heard.update({topic: take}), publisher=lambda *_, **__: None
+    )
+    body = BusRobot(node, adapter, BallRosSettings(use_sim_time=True), clock)
+    body._inertial = Inertial(np.zeros(3), np.zeros(3)), 1.0
+    control: Any = SimpleNamespace(
+        _other_publisher="", settings=body.settings, adapter=adapter, robot_io=body, running=True, _hold_reason="",
+        source=SimpleNamespace(source=SimpleNamespace(settle=lambda: "")), obstacles=SimpleNamespace(lost=lambda: ""),
+        _stop_or_hold=held.append,
+    )  # fmt: skip
+    names, values = body._reader.names, np.zeros(len(body._reader.names))
+    for late, says in ((0.0, ""), (0.05, "come more than 0.03 s after their stamps"), (0.0, "")):
+        for _ in range(30):
+            clock.set(clock.stamp() + 0.01)
+            at = SimpleNamespace(stamp=SimpleNamespace(**stamp(clock.stamp() - late)))
+            if clock.stamp() - late > 0.0:
+                heard["/joint_states"](SimpleNamespace(header=at, name=names, position=values))
+        assert says in body.waiting_reason() and bool(says) == bool(body.waiting_reason())
+        held.clear()
+        ControlNode._check_other_publishers(control)
+        assert held == [body.lateness.fault] * bool(says)
+
+
+def test_a_robot_that_has_fallen_gets_no_more_torques(adapter: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run ends with what has happened, not with numbers of a model that has no answer there. By hand: acos(cos 0.5 cos 0.55) is 42°, acos(cos² 0.49) 39°."""
+    arm, still = ROBOT.home[ROBOT.state["arm"]], (np.zeros(3), np.array([0.0, 0.0, 9.81]))
+    adapter.begin(ROBOT.home)
+    controller, x = adapter.controller, ROBOT.home.copy()
+    monkeypatch.setattr(controller.estimator, "update", lambda *given: x)
+    x[3:5] = 0.49
+    controller.measure(BallMessage(1.0, 1.0, np.zeros(3), arm, *still))
+    x[3:5] = 0.5, -0.55
+    with pytest.raises(FallPredicted, match="the robot fell, it leans by 42 degrees; motors off"):
+        controller.measure(BallMessage(1.0025, 1.0025, np.zeros(3), arm, *still))
+    x[3] = np.nan
+    with pytest.raises(FallPredicted, match="the robot fell"):
+        controller.measure(BallMessage(1.005, 1.005, np.zeros(3), arm, *still))
 
 
 def test_a_pose_far_out_of_reach_takes_no_longer_than_a_few_within(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,6 +73,10 @@ def test_the_real_time_factor_and_late_ticks(monkeypatch: pytest.MonkeyPatch, ca
         ),
         ({"kept": "the MPC raised ValueError"}, "because the MPC raised ValueError; a wheel slips"),
         ({}, "because a wheel slips"),
+        (
+            {"stopped": True, "state": "stopped at 3.000 s: the robot fell, it leans by 41 degrees; motors off"},
+            "because a wheel slips",
+        ),
     ],
 )
 def test_the_cause_of_a_fall(changes: dict[str, Any], because: str) -> None:

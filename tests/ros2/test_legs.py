@@ -16,6 +16,7 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.ros import SwerveRosAdapter
 from wbmpc.bases.swerve.ros_legs import Legs
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
+from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.network import Network
@@ -101,6 +102,21 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
     assert "a command for the legs is rejected: brakes: with these legs" in caplog.text
     legs._put(leg_angles(ROBOT, "X"), free)
     assert legs.apply(brakes, 1.0, np.zeros(4)) and brakes.commanded(2.0).all()
+    legs.stop()
+
+
+def test_a_leg_on_its_way_stays_on_it_where_brakes_refuse_an_order(robot: Any) -> None:
+    """Else its brake would remain open for good: nobody watches whether it arrives, or comes no nearer."""
+    legs, brakes, at = robot.control.legs, BrakeControl(ROBOT), np.zeros(4)
+    legs.stop()
+    legs._put(np.array([0.3, np.nan, np.nan, np.nan]), np.full(4, np.nan))
+    assert legs.apply(brakes, 1.0, at)
+    legs._command = np.full(4, np.nan), np.array([0.0, 1.0, 1.0, 1.0])  # legs have moved since it was taken
+    brakes.set = lambda *given: (_ for _ in ()).throw(InputError("brakes: no"))  # type: ignore[method-assign]
+    assert not legs.apply(brakes, 2.0, at)
+    del brakes.set
+    assert legs.angles[0] == 0.3 and legs.watch(brakes, 3.0, np.array([0.3, 0.0, 0.0, 0.0]))
+    assert not brakes.commanded(4.0).any()
     legs.stop()
 
 

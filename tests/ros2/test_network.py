@@ -57,6 +57,24 @@ def test_a_wrong_variable_is_named(name: str, value: str, says: str) -> None:
         Network.of({name: value})
 
 
+@needs_dds
+@pytest.mark.parametrize("peer", ["nobody", "::1", "127.0.0.1:70000", "127.0.0.1,127.0.0.1", "a b", "<x>"])
+def test_a_peer_without_an_address_is_named(peer: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The middleware aborted the process."""
+
+    def resolve(host: str, *given: object) -> list[str]:
+        if host != "127.0.0.1":
+            raise OSError("unknown")
+        return [host]
+
+    from wbmpc.ros2 import dds_domain
+
+    monkeypatch.setattr(dds_domain.socket, "getaddrinfo", resolve)
+    monkeypatch.setattr(dds_domain, "Domain", lambda *given: pytest.fail("the middleware got it"))
+    with pytest.raises(InputError, match=f"ROS_STATIC_PEERS: '{re.escape(peer)}' has no address"):
+        dds_domain._opened(Network(peers=("127.0.0.1:7410", peer)))
+
+
 def heard(one: dict[str, str], other: dict[str, str], seconds: float = 0.7) -> bool:
     """Whether a latched message of a node gets to another one in that time [s]. Domains differ: a process configures one once."""
     nodes = [open_node(f"n{i}", "dds", Network.of(e)) for i, e in enumerate((one, other))]

@@ -218,6 +218,24 @@ def test_points_become_a_map(bus: Callable[..., Bus]) -> None:
     assert found == pytest.approx(0.5, abs=0.1)
 
 
+def test_points_of_a_time_that_went_back_are_a_map_of_their_own(bus: Callable[..., Bus]) -> None:
+    """A simulator was restarted: until it came as far as before its points were dropped, as newer than nothing, while the topic counted as
+    heard. What comes late on the same clock is said to be."""
+    b = bus({"points": "/points"})
+    for begin, x in ((100.0, 3.0), (5.0, 2.0)):
+        b.time = begin
+        for _ in range(5):
+            b.time += 0.05
+            wall = [[x, y, z] for y in np.arange(1.0, 3.0, 0.04) for z in np.arange(0.3, 1.0, 0.04)]
+            assert b.send("/points", **cloud(wall)) == ""
+    shape, place, _ = b.obstacle("points")
+    at = lambda x: float(shape.sample(np.array([[x, 2.0, 0.6 - LIFT]]) - place)[0][0])
+    assert at(2.0) < 0.1 < 0.8 < at(3.0)
+    assert "0.1 s older than the last one" in b.send("/points", 0.1, **cloud(wall))
+    b.time += 0.05
+    assert b.send("/points", **cloud(wall)) == ""
+
+
 BAD = {
     "/detections": [
         ({"detections": [box("a", np.nan)]}, "not finite"),
@@ -248,6 +266,8 @@ BAD = {
         (cloud(np.zeros((9, 3)), width=1_000_000), "a cloud of 1000000 points; valid: at most 500000"),
         (cloud(np.zeros((9, 3)), fields=[]), "field 'x' is missing"),
         (cloud(np.zeros((9, 3)), fields=[{"name": n, "offset": 10, "datatype": 7} for n in "xyz"]), "begins at byte 10"),
+        (cloud(np.zeros((9, 3)), fields=[{"name": n, "datatype": 7} for n in "xyz"]), "'x', 'y' and 'z' overlap"),
+        (cloud(np.zeros((9, 3)), fields=[{"name": "x", "datatype": 7}] * 2 + cloud([])["fields"]), "two fields 'x', 'y' or 'z'"),
         ({"header": {"frame_id": "moon"}, **cloud(np.zeros((9, 3)))}, "moon"),
     ],
 }  # fmt: skip
@@ -282,6 +302,20 @@ def test_transforms_that_cannot_be_meant_are_left_out(bus: Callable[..., Bus], w
     assert b.detect(box("a", 1.0), frame="base_link") == ""
     np.testing.assert_allclose(b.obstacle("detections/a")[1], [1.0, 3.0, 0.6 - LIFT], atol=1e-12)
     assert "camera" in b.detect(box("a", 1.0), frame="camera")
+
+
+def test_a_flood_of_frames_keeps_none_out_for_good(bus: Callable[..., Bus]) -> None:
+    """A thousand names, and one more; the base is none of the bus's. A frame that hangs nowhere is not unknown."""
+    b = bus()
+    for k in range(10):
+        b.send("/tf", transforms=[transform("nowhere", f"{k}-{i}") for i in range(100)])
+    b.send("/tf", transforms=[transform("base_link", "camera")])
+    assert "unknown frame 'camera'" in b.detect(box("a", 1.0), frame="camera")
+    assert "no transforms lead from 'odom' to the frame '1-1'" in b.detect(box("a", 1.0), frame="1-1")
+    b.time += 2.5
+    b.topics.update()
+    b.send("/tf", transforms=[transform("base_link", "camera")])
+    assert b.detect(box("a", 1.0), frame="camera") == ""
 
 
 def test_what_is_old_is_lost(bus: Callable[..., Bus]) -> None:

@@ -367,7 +367,7 @@ class ControlNode:
         other = self._other_publisher
         lost = self.source.lost() if self.settings.topics.pose and self.adapter.must_keep_running else ""
         replaced = self.source.source.settle()  # counts once: who would fall takes the next goal
-        lost = lost or replaced or self.obstacles.lost()
+        lost = lost or replaced or self.obstacles.lost() or self.robot_io.lateness.fault
         if (other or lost) and self.running:
             self._stop_or_hold(other or lost)
         elif self._hold_reason and not (other or lost):

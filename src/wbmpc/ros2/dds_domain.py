@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import atexit
 import ctypes
+import re
+import socket
 import threading
 from dataclasses import dataclass, field
 
@@ -82,9 +84,24 @@ def open_domain(network: Network) -> None:
             raise InputError(f"DDS: domain {network.domain} is open in this process with other settings")
 
 
+def _check_peers(peers: tuple[str, ...]) -> None:
+    """Raise :class:`InputError` for a peer (HOST or HOST:PORT) that has no address: the middleware would abort the process."""
+    for peer in peers:
+        parts = re.fullmatch(r"([^\s:/,]+)(?::([0-9]{1,5}))?", peer)
+        try:
+            known = parts is not None and int(parts[2] or 0) < 2**16
+            known = known and bool(socket.getaddrinfo(parts[1], None, socket.AF_INET))  # type: ignore[index]
+        except (OSError, UnicodeError):
+            known = False
+        if not known:
+            raise InputError(f"ROS_STATIC_PEERS: '{peer[:300]}' has no address that is known here; valid: HOST or HOST:PORT")
+
+
 def _opened(network: Network) -> Domain:
     """The middleware writes its log to stderr, at any rate and from its own threads: without its warnings, unless CYCLONEDDS_URI
     asks for a trace."""
+    if network.reach in ("SUBNET", "LOCALHOST"):  # else they are not asked
+        _check_peers(network.peers)
     try:
         domain = Domain(network.domain, network.cyclone())
     except (DDSException, UnicodeEncodeError) as error:

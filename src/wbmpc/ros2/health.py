@@ -19,8 +19,14 @@ _LOG = logging.getLogger("wbmpc")
 WINDOW = 2.0
 #: A controller is late that runs at less than this share of real time, or of whose ticks more than this share are late.
 SLOW, OFTEN = 0.95, 0.05
-#: A base that leans by more than this [rad] has fallen: no plan leans as far, and no wheel catches it.
-FALLEN = 0.7
+#: A base that leans by more than this [rad] has fallen: no plan leans as far, and no wheel catches it. What a stop for that says first.
+FALLEN, FELL = 0.7, "the robot fell"
+
+
+def fall(x: np.ndarray) -> str:
+    """That a robot with the state x (x, y, yaw, pitch, roll, …) has fallen, in words; empty if it has not."""
+    lean = math.acos(math.cos(x[3]) * math.cos(x[4])) if np.isfinite(x[3:5]).all() else math.pi
+    return f"{FELL}, it leans by {math.degrees(lean):.0f} degrees" if lean > FALLEN else ""
 
 
 class Health:
@@ -38,8 +44,8 @@ class Health:
 
     def update(self) -> None:
         """Judge again."""
+        self._check_lean()  # first: what is late is forgotten where a run has ended
         self._check_timing()
-        self._check_lean()
 
     def _check_timing(self) -> None:
         c = self.controller
@@ -78,18 +84,18 @@ class Health:
         if seen is None:
             self.fell = ""
             return
-        lean = math.acos(math.cos(seen[1][3]) * math.cos(seen[1][4]))  # x, y, yaw, pitch, roll
-        if lean <= FALLEN:
+        fallen = fall(seen[1])
+        if not fallen:
             self.fell = ""
         elif not self.fell:
-            self.fell = f"the robot fell, it leans by {math.degrees(lean):.0f} degrees, because {self._cause()}"
+            self.fell = f"{fallen}, because {self._cause()}"
             _LOG.error("%s", self.fell)
 
     def _cause(self) -> str:
         """What is known to have gone wrong before it fell, the first cause first."""
         c = self.controller
         assert c.runner is not None
-        if c.runner.stopped:
+        if c.runner.stopped and FELL not in c.runner.state:
             return c.runner.state
         known = [c.runner.kept, c.robot_io.fault, self.late, *c.adapter.faults]
         return "; ".join(filter(None, known)) or "the torques that it has could not catch it: no fault was found"

@@ -21,6 +21,8 @@ _MISSED = 0.1
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
 _AGREE = 0.3
 
+#: Joint states that come so much [s] after their stamps leave a robot that balances no margin, once that has lasted for so long [s].
+LATE, LASTS = 0.03, 0.1
 #: Drives with commands above this [rad/s or m/s] turn some encoder within this time [s].
 _MOVES, _STARTS = 0.2, 0.3
 
@@ -152,6 +154,20 @@ class Standstill:
             self._since = sample.stamp
         self._values = values
         return sample.stamp - self._since > _STARTS
+
+
+class Lateness:
+    """Whether joint states on ``topic`` come too late for a robot that would fall; empty: it would not. ``fault`` says so."""
+
+    def __init__(self, topic: str) -> None:
+        self.fault, self._topic, self._punctual = "", topic, -np.inf
+
+    def note(self, stamp: float, now: float) -> None:
+        """Joint states of ``stamp`` [s] have come ``now`` [s]."""
+        if now - stamp <= LATE or stamp < self._punctual:
+            self._punctual = stamp
+        late = bool(self._topic) and stamp - self._punctual > LASTS
+        self.fault = f"the joint states on {self._topic} come more than {LATE:g} s after their stamps" if late else ""
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,11 @@ def read_points(message: Any) -> Array:
         kind = np.dtype(order + _NUMBERS[fields[axis].datatype])
         if not 0 <= fields[axis].offset <= step - kind.itemsize:
             raise InputError(f"the cloud's field '{axis}' begins at byte {fields[axis].offset}, points have {step}")
+    if sum(f.name in ("x", "y", "z") for f in message.fields) > 3:
+        raise InputError("the cloud has two fields 'x', 'y' or 'z'")
+    ends = sorted((fields[a].offset, fields[a].offset + np.dtype(_NUMBERS[fields[a].datatype]).itemsize) for a in "xyz")
+    if ends[0][1] > ends[1][0] or ends[1][1] > ends[2][0]:
+        raise InputError("the cloud's fields 'x', 'y' and 'z' overlap")
     if count == 0:
         return np.zeros((0, 3))
     kinds = [np.dtype(order + _NUMBERS[fields[a].datatype]) for a in "xyz"]

@@ -73,6 +73,7 @@ class ObstacleTopics:
         self.transforms = Transforms(node, settings.frames.world, settings.frames.base, steady)
         self._tracks = Tracks(own.hold, own.max_speed)
         self._map: LocalMap | None = None
+        self._mapped = -np.inf  # stamp [s] of the points in it that came last
         self._grid: tuple[str, Pose, Pose] | None = None  # frame, the grid in it, where it was put
         self._grid_lost = ""
         self._down = np.array([0.0, 0.0, adapter.planner.lift])
@@ -173,13 +174,17 @@ class ObstacleTopics:
         seen = self._adapter.snapshot()
         if seen is None:
             raise InputError("the robot's state is not known yet")
-        points = read_points(message)
+        points, own = read_points(message), self._settings.obstacles
+        if self._mapped > self._stamp() + own.max_age:  # the clock went back: no points can be as far ahead
+            self._map, self._mapped = None, -np.inf
+        if stamp < self._mapped:
+            raise InputError(f"the message is {self._mapped - stamp:.3g} s older than the last one")
         position, orientation = self._in_world(message.header.frame_id, stamp, np.zeros(3), np.array([1.0, 0, 0, 0]))
         if self._map is None:
-            own = self._settings.obstacles
             self._map = LocalMap(self._adapter.robot, cell=own.cell, reach=own.reach)
         cloud = position + points @ lie.quaternion_to_rotation(orientation).T
         self._map.add(cloud, position, stamp, seen[1])
+        self._mapped = stamp
         self._world.set(POINTS, self._map.grid(stamp))
 
     # ------------------------------------------------------------------ by the node's own thread

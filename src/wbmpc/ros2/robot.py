@@ -20,7 +20,7 @@ from wbmpc.ros2.base_driver import HELD, BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Series, Standstill, mean_of, mean_rate, read_imu
+from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Lateness, Series, Standstill, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -72,6 +72,7 @@ class BusRobot:
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._fresh_until = -np.inf  # stamp of the inertial unit's last message
         self._behind = np.inf  # least time [s] from a stamp to its arrival
+        self.lateness = Lateness(topics.joint_states if ambiguous else "")
         self._lock = threading.Lock()
         self.sent = 0  # commands since the last start
         self._armed = False
@@ -110,6 +111,8 @@ class BusRobot:
             self._follow_series(previous[0], sample)
             if sample.stamp < previous[0].stamp:  # what is known is the delay of another clock, or of a wrong stamp
                 self._behind = np.inf
+        if isinstance(self.clock, BusClock):  # by the wall's it is not known: a driver's clock may be another one
+            self.lateness.note(sample.stamp, self.clock.stamp())
         sample = replace(sample, series=self._series)
         if self._way is not None:  # both or neither: an estimate takes a way that stands for rest
             if not self._way_goes_on(sample.stamp, arrival):
@@ -176,11 +179,8 @@ class BusRobot:
         if not (self._replaced or restarted):
             return
         self._series, self._replaced = Series(self._series.encoders + 1, self._series.simulations + restarted), False
-        why = (
-            "their time went back: the odometry begins at its origin"
-            if restarted
-            else "their publisher was replaced: the odometry goes on without what wheels turned meanwhile"
-        )
+        why = "their publisher was replaced: the odometry goes on without what wheels turned meanwhile"
+        why = "their time went back: the odometry begins at its origin" if restarted else why
         topic = self.settings.topics.joint_states
         self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} restart, {why}")
 
@@ -231,7 +231,7 @@ class BusRobot:
             return f"the joint states on {self.settings.topics.joint_states} have stopped for more than {limit:g} s"
         if self.adapter.needs_imu and self._inertial is None:
             return f"nothing on {self.settings.topics.imu} yet"
-        return ""
+        return self.lateness.fault
 
     def _way_goes_on(self, stamp: float, arrival: float) -> bool:
         """Whether the base's driver has said lately how far it went, for joint states of ``stamp`` [s]."""
@@ -277,9 +277,8 @@ class BusRobot:
         """The newest measurement, its time on the runner's clock."""
         if self.fault and self._armed and not self.adapter.must_keep_running:
             raise SafeStop(self.fault)
-        replaced = self._joint_source.replaced or self._imu_source.replaced or self._way_source.replaced
-        replaced = replaced or self._without_way()
-        if replaced and self._armed:
+        sources = self._joint_source, self._imu_source, self._way_source
+        if self._armed and (replaced := next((s.replaced for s in sources if s.replaced), "") or self._without_way()):
             raise SafeStop(replaced)
         joints = self._joints
         if joints is None:

@@ -54,6 +54,7 @@ class Transforms:
     def __init__(self, node: Node, world: str, base: str, now: Callable[[], float]) -> None:
         self._world, self._base, self._now = world, base, now
         self._frames: dict[str, _Frame] = {}
+        self._forgot = -np.inf  # when old ones last were [s]
         self._lock, self._limit = threading.Lock(), RateLimit()
         node.subscribe("/tf", KIND, lambda m: self.take(m, False), MOVING, largest=SMALL)
         node.subscribe("/tf_static", KIND, lambda m: self.take(m, True), FIXED, largest=SMALL)
@@ -74,13 +75,22 @@ class Transforms:
 
     def _put(self, parent: str, child: str, stamp: float, pose: Pose, fixed: bool) -> None:
         with self._lock:
-            if child not in self._frames and len(self._frames) >= MAX_FRAMES:
-                raise InputError(f"there are more than {MAX_FRAMES} frames")
+            if child not in self._frames and child != self._base and len(self._frames) >= MAX_FRAMES:
+                self._forget_old()
+                if len(self._frames) >= MAX_FRAMES:
+                    raise InputError(f"there are more than {MAX_FRAMES} frames")
             frame = self._frames.get(child)
             if fixed or frame is None or frame.parent != parent or stamp < frame.seen[-1][0]:  # or time went back
                 frame = self._frames[child] = _Frame(parent, deque(maxlen=KEPT), 0.0)
             frame.seen.append((stamp, pose))
             frame.at = np.inf if fixed else self._now()
+
+    def _forget_old(self) -> None:
+        """Frames that have not come for :data:`LASTS`: what a flood brought makes room again. Not more often than that."""
+        now = self._now()
+        if abs(now - self._forgot) > LASTS:
+            self._forgot = now
+            self._frames = {n: f for n, f in self._frames.items() if now - f.at <= LASTS or n == self._base}
 
     def pose(self, name: str, stamp: float) -> Pose:
         """Position (3) [m] and orientation (4) of a frame in the world at ``stamp`` [s]. Raises :class:`InputError` where nothing leads
@@ -90,6 +100,8 @@ class Transforms:
         with self._lock:
             down, up = self._chain(name, stamp), self._chain(self._world, stamp)
             common = next((f for f in down if f in up), None)
+            if common is None and name in self._frames:
+                raise InputError(f"no transforms lead from '{self._world}' to the frame '{name}'")
             if common is None:
                 raise unknown_name("frame", name, sorted({self._world, *self._frames})[:20])
             return _compose(_inverse(up[common]), down[common])

@@ -19,6 +19,7 @@ from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import lean_control_of
+from wbmpc.errors import FallPredicted
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -26,6 +27,7 @@ from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
+from wbmpc.ros2.health import fall
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
 
 Array = np.ndarray
@@ -84,6 +86,8 @@ class BusBallController(BallController):
         if fix is not None:
             state = self.estimator.correct(*fix)
         self.measured = self.seen = BallMeasurement(message.now, state, age)
+        if fallen := fall(state):  # on the floor the model has no answer, and torques beat the arm about
+            raise FallPredicted(f"{fallen}; motors off")
         if self._moves(message):
             self._monitor_encoders(message.time, message.arm, interval or self.period)
             self._detect_pushes(state, interval or self.period)

@@ -128,15 +128,17 @@ class PlanarOdometry:
 
     def update(self, time: float, wheel: ArrayLike, yaw_rate: float | None) -> Array:
         """The pose after wheel angles (n) [rad] at ``time`` [s]; ``yaw_rate`` [rad/s]: mean of the gyro since the last call, None
-        without one. The first call only stores the angles."""
+        without one. The first call only stores the angles; of a time that went back the gyro says nothing, and the wheels' way counts."""
         now = numbers("odometry", "wheel", wheel, len(self._rates))
         if yaw_rate is not None:
             finite("odometry", yaw_rate=yaw_rate)
         last, self._last = self._last, (time, now)
-        if last is None or np.max(np.abs(now - self._anchor[1])) > STANDS:
+        back = last is not None and time < last[0]
+        if last is None or back or np.max(np.abs(now - self._anchor[1])) > STANDS:
             self._anchor = (time, now)
-        if last is None or time <= last[0]:
+        if last is None or time == last[0]:
             return self.pose
+        yaw_rate = None if back else yaw_rate
         h, rolled = time - last[0], now - last[1]
         moved, before = self._fit @ rolled, self.pose
         led = time - self._anchor[0] < STANDS_FOR and self.gyro.std < KNOWN

@@ -72,8 +72,8 @@ class BusController(PlanarController):
         self.speed: Array = np.zeros(3)
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
-        """As the inertial unit's messages between the two say."""
-        return getattr(now, "turning", None) if self.use_gyro else None
+        """As the inertial unit's messages between the two say; over a gap, which may be a wrong stamp's, the wheels alone."""
+        return getattr(now, "turning", None) if self.use_gyro and now.time - previous.time <= GAP else None
 
     def measure(self, measurement: BusMeasurement) -> None:  # type: ignore[override]
         """Take in the message of this tick, and another localization's pose if there is a new one."""
@@ -114,6 +114,8 @@ class BusController(PlanarController):
         spread = np.array([SLIP * way, SLIP * way, TURN * turn])
         if interval > GAP:
             spread = spread + UNSEEN * interval
+        elif interval < 0.0:  # a wrong stamp, before or now, or another clock
+            spread = spread + UNSEEN
         self.covariance = self.covariance + np.diag(spread**2)
         self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
 

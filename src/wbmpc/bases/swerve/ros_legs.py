@@ -221,14 +221,14 @@ class Legs:
         self.moving, state = self._outcome(goal, brake, brakes.commanded(t))
         # the same order once more, or one for other legs, gives a leg that comes no nearer no more time
         new = ~were if previous is None else ~were | (self.angles != previous)
-        self._nearest[new], self._since[new], self.short = np.inf, t, ""
         brakes.reset(t)
         try:
             brakes.set(t, state, None if self.moving.any() else leg)
         except InputError as error:
             self.reject(f"a command for the legs is rejected: {error}")
-            self.angles = previous
+            self.angles, self.moving = previous, were
             return False
+        self._nearest[new], self._since[new], self.short = np.inf, t, ""
         # a leg that is let go, or held where it is, goes nowhere
         stays = ~self.moving & ~np.isnan(brake)
         self.angles = np.where(stays, leg, self.angles)
