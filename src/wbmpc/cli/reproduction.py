@@ -27,7 +27,7 @@ def reproduce(
     clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Draw a clip of each experiment.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """Run the experiments over seeds and write one site: figures beside the paper's, clips, every run's page.
+    """Run the experiments over seeds and write one site: figures compared with the papers', clips, a page for every run.
 
     The site shows all finished runs of its directory, also those of earlier calls.
     """
