@@ -318,7 +318,7 @@ class BaseType(Protocol):
         return None
 
     def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
-        """What a user has to know of a described base that loads, or should mend."""
+        """What a user has to know of a described base that loads, or should fix."""
         return []
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> Base:

@@ -82,7 +82,9 @@ def study(
     out: Out = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    report: Annotated[bool, typer.Option("--report", help="Run nothing; write tables and page of the finished runs.")] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Run nothing; write tables and page of the finished runs.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run an experiment over settings, seeds and robots; one row per run, statistics and a page."""
