@@ -373,9 +373,9 @@ def test_a_picture_of_it_in_real_time_is_its_own_plant(gantry: Path) -> None:
     pytest.importorskip("viser")
     from wbmpc.view.realtime import scene_of
 
-    puppet, reader = scene_of(load_robot(gantry))
-    puppet.arrange(np.array([0.7, -1.1]))
-    np.testing.assert_allclose(puppet.data.site("tip").xpos, mujoco_tip(np.array([0.7, -1.1])), atol=1e-12)
+    plant, reader = scene_of(load_robot(gantry))
+    plant.arrange(np.array([0.7, -1.1]))
+    np.testing.assert_allclose(plant.data.site("tip").xpos, mujoco_tip(np.array([0.7, -1.1])), atol=1e-12)
     assert reader.joint_names == ["slide", "elbow"]
 
 

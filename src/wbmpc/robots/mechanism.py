@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wbmpc.robots.actuation import Drive, read_drives
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.findings import Finding
-from wbmpc.robots.inertia import violates_triangle_inequality, replace_inertias
+from wbmpc.robots.inertia import replace_inertias, violates_triangle_inequality
 from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import ModelFile, parse
 
