@@ -22,6 +22,7 @@ from wbmpc.model.kinematics import Chain, FramePose, constant
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.tree import read_tree
 from wbmpc.runtime.shared_memory import Mailbox
+from wbmpc.simulation.kept_calibration import plugin_folders
 from wbmpc.simulation.lockstep import Ending, Running, Timing
 
 if TYPE_CHECKING:
@@ -305,6 +306,11 @@ def test_without_the_package_the_type_is_unknown(gantry: Path, monkeypatch: pyte
     with pytest.raises(InputError, match=r"key 'base\.type': valid: ball") as error:
         load_robot(gantry)
     assert "rail" not in str(error.value).removeprefix(str(gantry))
+
+
+def test_a_kept_calibration_depends_on_the_source_of_its_base_type(gantry: Path) -> None:
+    """Else a changed plug-in of another package would start from what the one before has found."""
+    assert str(Path(__file__).resolve().parent) in plugin_folders(load_robot(gantry))
 
 
 def test_a_built_in_type_cannot_be_replaced(gantry: Path) -> None:
