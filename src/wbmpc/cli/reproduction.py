@@ -43,7 +43,7 @@ def reproduce(
             failed = run_all(jobs, workers or len(os.sched_getaffinity(0)), progress)
         except KeyboardInterrupt:
             done = f"{sum(job.done for job in jobs)} of {len(jobs)} runs are finished"
-            typer.echo(f"wbmpc: interrupted: {done}; the same command goes on from there", err=True)
+            typer.echo(f"wbmpc: interrupted: {done}; the same command continues from there", err=True)
             raise typer.Exit(INTERRUPTED) from None
     jobs = jobs_of_site(jobs, out, list(context.obj.registry))
     index = write_site(jobs, failed, out, clips)

@@ -72,7 +72,7 @@ def _progress(study: Study, title: str, verbose: bool) -> Iterator[Callable[[flo
         try:
             yield bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
         except KeyboardInterrupt:
-            typer.echo(f"wbmpc: interrupted: what is finished is in {study.out}; the same command goes on", err=True)
+            typer.echo(f"wbmpc: interrupted: finished runs are in {study.out}; the same command continues", err=True)
             raise typer.Exit(INTERRUPTED) from None
 
 

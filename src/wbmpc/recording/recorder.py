@@ -72,7 +72,7 @@ class Recorder:
             yield
         except OSError as error:
             self.failure = f"{self.path}: cannot be written ({error.strerror}); recording ended at {self._last:.2f} s"
-            _LOG.error("%s; the run goes on", self.failure)
+            _LOG.error("%s; the run continues", self.failure)
             with suppress(OSError):  # what is buffered cannot be written either
                 if self.file is not None:
                     self.file.close()
