@@ -47,7 +47,7 @@ def translated(function: Any) -> Callable[..., object]:
     """As a library of its own, called through ctypes as the solver calls its driver."""
     from wbmpc.kernel.library import Library
 
-    library = Library(f"benchmark {function.signature.symbol}", rooms=("solver", "kernel"))
+    library = Library(f"benchmark {function.signature.symbol}", packages=("solver", "kernel"))
     library.functions = list(closure(function, {}).values())
     library.build()
     function.library = library

@@ -311,7 +311,7 @@ def test_weights_and_thresholds_have_limits(name: str, given: str, message: str)
 )
 def test_a_key_of_a_file_is_there_once_however_it_is_written(text: str, key: str, tmp_path: Path) -> None:
     (tmp_path / "settings.yaml").write_text(text)
-    with pytest.raises(InputError, match=f"settings.yaml: key '{key}' is there twice"):
+    with pytest.raises(InputError, match=f"settings.yaml: key '{key}' appears twice"):
         configure(Factors, [], "fake", tmp_path / "settings.yaml")
 
 
@@ -329,5 +329,5 @@ def test_entries_of_a_mapping_are_given_one_by_one(tmp_path: Path) -> None:
 
 def test_a_kind_of_a_file_is_there_once_however_it_is_written(tmp_path: Path) -> None:
     (tmp_path / "settings.yaml").write_text("stability: support_margin\nstability.kind: wheel_loads\n")
-    with pytest.raises(InputError, match=r"settings.yaml: key 'stability.kind' is there twice"):
+    with pytest.raises(InputError, match=r"settings.yaml: key 'stability.kind' appears twice"):
         configure(REGISTRY["hold"].config_type, [], "hold", tmp_path / "settings.yaml")

@@ -41,7 +41,7 @@ BAD_YAML = [
     ("a: -0b1_1", r"line 1, key 'a': '-0b1_1' may be read as a binary number"),
     ("a:\n  b: 010", r"line 2, key 'a.b': '010' may be read as an octal number; write 10"),
     ("a: [1, 1:30]", r"line 1, key 'a.1': '1:30' may be read as a number to the base of 60"),
-    ("a: 1\nb: 2\na: 3", r"line 3, key 'a': is there twice"),
+    ("a: 1\nb: 2\na: 3", r"line 3, key 'a': appears twice"),
     ("a: &x 1\nb: *x", r"line 1, key 'a': an anchor"),
     ("a: *x", r"line 1, key 'a': an alias"),
     ("a: !!python/name:os.system x", r"line 1, key 'a': a tag"),
@@ -122,7 +122,7 @@ def test_calibrations_do(tmp_path: Path) -> None:
     path = tmp_path / "calibration.yaml"
     path.write_text("modules: {}\nmodules: {}\n")
     robot = load_robot("swerve-ur10")
-    with pytest.raises(InputError, match=r"calibration.yaml: line 2, key 'modules': is there twice"):
+    with pytest.raises(InputError, match=r"calibration.yaml: line 2, key 'modules': appears twice"):
         WheelCalibration.load(path, robot.base.geometry, list(robot.state.groups["steer"]))
 
 

@@ -22,6 +22,7 @@ from wbmpc.model.kinematics import Chain, FramePose, constant
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.tree import read_tree
 from wbmpc.runtime.shared_memory import Mailbox
+from wbmpc.simulation.kept_calibration import plugin_folders
 from wbmpc.simulation.lockstep import Ending, Running, Timing
 
 if TYPE_CHECKING:
@@ -307,6 +308,11 @@ def test_without_the_package_the_type_is_unknown(gantry: Path, monkeypatch: pyte
     assert "rail" not in str(error.value).removeprefix(str(gantry))
 
 
+def test_a_kept_calibration_depends_on_the_source_of_its_base_type(gantry: Path) -> None:
+    """Else a changed plug-in of another package would start from what the one before has found."""
+    assert str(Path(__file__).resolve().parent) in plugin_folders(load_robot(gantry))
+
+
 def test_a_built_in_type_cannot_be_replaced(gantry: Path) -> None:
     entries = gantry.parent / "site" / "rail_bases-1.0.dist-info" / "entry_points.txt"
     entries.write_text(f"[wbmpc.bases]\nfixed = {__name__}:RailBaseType\n")
@@ -373,9 +379,9 @@ def test_a_picture_of_it_in_real_time_is_its_own_plant(gantry: Path) -> None:
     pytest.importorskip("viser")
     from wbmpc.view.realtime import scene_of
 
-    puppet, reader = scene_of(load_robot(gantry))
-    puppet.arrange(np.array([0.7, -1.1]))
-    np.testing.assert_allclose(puppet.data.site("tip").xpos, mujoco_tip(np.array([0.7, -1.1])), atol=1e-12)
+    plant, reader = scene_of(load_robot(gantry))
+    plant.arrange(np.array([0.7, -1.1]))
+    np.testing.assert_allclose(plant.data.site("tip").xpos, mujoco_tip(np.array([0.7, -1.1])), atol=1e-12)
     assert reader.joint_names == ["slide", "elbow"]
 
 

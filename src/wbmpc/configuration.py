@@ -361,7 +361,7 @@ def _of_file(model: type[BaseModel], path: Path, where: str) -> list[tuple[str, 
             if has_truths(value) and bool not in _types(model, key):
                 raise InputError(f"{path}: key '{key}': a number or text is needed, not true or false")
             if any(k in (key, key.rpartition(".")[0]) or k.startswith(f"{key}.") for k, _ in found):
-                raise InputError(f"{path}: key '{key}' is there twice, in its section and with dots")
+                raise InputError(f"{path}: key '{key}' appears twice, in its section and with dots")
             found.append((key, _numbers(value)))
 
     walk(data or {}, "")

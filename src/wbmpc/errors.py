@@ -48,7 +48,7 @@ class RobotStuck(RunAborted):
 
 
 class NoRoute(WbmpcError):
-    """No way was found that leads from a start to a goal."""
+    """No route from the start to the goal was found."""
 
 
 class DisturbanceTooLarge(RunAborted):

@@ -48,10 +48,9 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 @dataclass(frozen=True)
 class Experiment:
-    """A ``name``, a line about it (``summary``), its settings (``config_type``), ``run(settings, seed, progress)``, and what its metrics
-    are (``definitions``: unit and definition by name).
-
-    The name is that of the run's directory too: letters, digits, dots, dashes and underscores. Raises :class:`InputError` for
+    """An experiment: ``name``, one-line ``summary``, type of its settings (``config_type``), ``run(settings, seed, progress)``, and
+    ``definitions`` of its metrics (unit and text by name). The name is part of the run's directory: letters, digits, dots, dashes and
+    underscores. Raises :class:`InputError` for
     another one.
     """
 

@@ -22,7 +22,7 @@ def load_json(path: Path) -> Any:
 def parse_json(text: str | bytes, where: str) -> Any:
     """What a JSON text says; ``where``: what messages begin with.
 
-    Raises :class:`InputError`, also for NaN, infinity, numbers that are too large and keys that are there twice.
+    Raises :class:`InputError`, also for NaN, infinity, numbers that are too large and keys that appear twice.
     """
     try:
         value = json.loads(
@@ -61,7 +61,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"key '{twice[:80]}' is there twice")
+        raise ValueError(f"key '{twice[:80]}' appears twice")
     return found
 
 

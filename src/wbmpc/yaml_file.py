@@ -114,7 +114,7 @@ class _Reader:
                 self._fail(event, inside, "merging of mappings (<<) is not allowed")
             key = self._scalar(event, inside)
             if key in out:
-                self._fail(event, inside, "is there twice")
+                self._fail(event, inside, "appears twice")
             out[key] = self._value(inside)
         self._loader.get_event()
         return out

@@ -12,7 +12,7 @@ from scipy.linalg import expm, null_space
 from wheels_on_paper import fit_twist
 
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
+from wbmpc.estimation.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 
@@ -200,7 +200,7 @@ def test_what_open_legs_show_is_no_slip(closed: tuple[int, ...]) -> None:
     moved = fit_twist(GEOMETRY, odometry.radius, previous, odometry.checked(leg, np.full(4, 0.3), np.full(4, 0.1)))
     axes = GEOMETRY.steer_axes(leg)
     arms = axes - GEOMETRY.hinge
-    rows = moved.shown_by_legs(GEOMETRY.leg_motions(leg, axes), is_open)
+    rows = moved.leg_residual_basis(GEOMETRY.leg_motions(leg, axes), is_open)
     motions = [[[1.0, 0.0] for _ in axes], [[0.0, 1.0] for _ in axes], [[-y, x] for x, y in axes]]
     motions = np.array(motions).reshape(3, 8)
     swings = np.array([np.eye(4)[i][:, None] * [-arms[i, 1], arms[i, 0]] for i in np.flatnonzero(is_open)]).reshape(
@@ -238,10 +238,10 @@ def test_the_odd_wheel_is_the_one_without_which_the_others_agree(odd: int) -> No
     wheels = np.repeat(np.arange(4), 2)
     without = [squares(wheels != i) for i in range(4)]
     residual = moved - rows @ np.linalg.lstsq(rows, moved, rcond=None)[0]
-    i, share = odd_one_out(residual.reshape(4, 2), axes)
+    i, share = outlier_wheel(residual.reshape(4, 2), axes)
     assert i == odd == int(np.argmin(without))
     assert share == pytest.approx(1.0 - without[i] / squares(wheels >= 0))
-    assert odd_one_out(np.stack([residual.reshape(4, 2)] * 3), axes) == (
+    assert outlier_wheel(np.stack([residual.reshape(4, 2)] * 3), axes) == (
         i,
         pytest.approx(share),
     )  # thrice the same interval

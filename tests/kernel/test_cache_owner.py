@@ -256,7 +256,7 @@ def test_kernels_and_translated_functions_are_compiled_in_memory(
     problem = Transcription(LinearQuadratic(2, 1, 1).problem())
 
     def driver() -> Library:
-        library = Library("owner", rooms=("kernel",))
+        library = Library("owner", packages=("kernel",))
         library.compiled(_twice)
         return library
 

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -357,7 +359,7 @@ def test_the_driver_is_compiled_once_and_reloaded(tmp_path, monkeypatch: pytest.
     monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path))
 
     def library() -> Library:
-        made = Library("test", rooms=("kernel",))
+        made = Library("test", packages=("kernel",))
         made.functions = list(LIBRARY.functions)
         return made
 
@@ -376,6 +378,25 @@ def test_the_driver_is_compiled_once_and_reloaded(tmp_path, monkeypatch: pytest.
     assert third.address("test_translate_fill.entry") > 0
     with pytest.raises(KernelError, match="no function 'nothing'"):
         third.address("nothing")
+
+
+def test_a_library_of_another_package_is_built_again_when_its_source_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A base type of another package may have compiled steps. Truth: the number in its file; both versions share cache, name and symbol."""
+    monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path / "cache"))
+    for number in (1.0, 2.0):
+        file = tmp_path / f"version-{number:g}" / "foreign_steps.py"
+        file.parent.mkdir()
+        file.write_text(
+            "from wbmpc.kernel.library import Library\n\nLIBRARY = Library('foreign', packages=('kernel',))\n\n\n"
+            f"@LIBRARY.compiled\ndef shifted(x: float) -> float:\n    return x + {number}\n"
+        )
+        spec = spec_from_file_location("foreign_steps", file)
+        assert spec is not None and spec.loader is not None
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        assert module.shifted(0.5) == 0.5 + number
 
 
 def test_the_driver_is_whole_whichever_function_comes_first() -> None:

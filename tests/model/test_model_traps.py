@@ -1,4 +1,4 @@
-"""`wbmpc robot` says what is wrong with a model or a robot file, and how it is mended. Truth: files with one known fault."""
+"""`wbmpc robot` says what is wrong with a model or a robot file, and how to fix it. Truth: files with one known fault."""
 
 from __future__ import annotations
 

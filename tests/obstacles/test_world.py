@@ -217,7 +217,7 @@ def test_a_name_is_a_text(name) -> None:  # type: ignore[no-untyped-def]
 def test_names_of_a_scene_that_become_the_same_are_an_error(tmp_path: Path) -> None:
     path, world = tmp_path / "scene.yaml", wb.Obstacles()
     path.write_text('obstacles: {1: {sphere: {radius: 0.1}}, "1": {sphere: {radius: 0.2}}}')
-    with pytest.raises(InputError, match="is there twice"):
+    with pytest.raises(InputError, match="appears twice"):
         world.load(path)
 
 

@@ -110,7 +110,7 @@ def test_what_it_needs(adapter: Any) -> None:
 def test_a_driver_whose_clock_was_set_back_is_not_late(
     adapter: Any, other: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the wall's clock a measurement of a robot at rest is as old as it was, half a second off and after a single message from
+    """By the wall clock a measurement of a robot at rest is as old as it was, half a second off and after a single message from
     the future too; every goal ended in a stop, for its states were taken as old."""
     now, heard = [100.0], dict[str, Any]()
     monkeypatch.setattr("wbmpc.ros2.robot.time", SimpleNamespace(perf_counter=lambda: now[0]))

@@ -113,7 +113,7 @@ time.sleep(600.0)
 
 @needs_dds
 def test_a_killed_process_leaves_the_bus_soon() -> None:
-    """SIGKILL: nobody says goodbye. DDS's own default is 10 s; by the wall's clock, so with room for a busy machine."""
+    """SIGKILL: nobody says goodbye. DDS's own default is 10 s; by the wall clock, so with room for a busy machine."""
     environment = everything()
     node = open_node("looks", "dds", Network.of(environment))
     victim = subprocess.Popen([sys.executable, "-c", VICTIM], env=environment)

@@ -216,7 +216,7 @@ def test_the_stream_of_commands_in_real_time() -> None:
 
 @pytest.mark.wallclock
 def test_a_controller_and_a_driver_that_hang_or_die_in_real_time() -> None:
-    """By the wall's clock, at a rate and with a watchdog that a busy machine keeps: a goal is reached. A controller that hangs
+    """By the wall clock, at a rate and with a watchdog that a busy machine keeps: a goal is reached. A controller that hangs
     is stopped by the robot's own timeout, and when it is back it does not go on by itself. States that stop for longer than the
     watchdog stop the robot, and it stays stopped when they come back. And the simulator's death, see :func:`killed`."""
     settings = {
@@ -258,7 +258,7 @@ def test_a_controller_and_a_driver_that_hang_or_die_in_real_time() -> None:
 @thorough
 @pytest.mark.wallclock
 def test_a_killed_simulator_in_real_time() -> None:
-    """With simulated time, whose clock goes with the process. By the wall's clock: the test before."""
+    """With simulated time, whose clock goes with the process. By the wall clock: the test before."""
     settings = {"use_sim_time": True, "rates": {"control": 100}, "safety": {"watchdog": 0.3, "policy": 10.0}}
     with open_bus(36, SEED, lockstep=False, settings=settings) as bus:
         killed(bus, r"/clock has stopped for (\d\.\d) s", 0.3)

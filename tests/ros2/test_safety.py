@@ -231,7 +231,7 @@ def test_in_lockstep_a_busy_machine_has_time(pair: Callable[..., Any], monkeypat
 def test_a_robot_that_stands_by_is_commanded_however_long_that_takes(
     pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the wall's clock a stop falls silent after a second; a simulator in lockstep would wait for commands in vain."""
+    """By the wall clock a stop falls silent after a second; a simulator in lockstep would wait for commands in vain."""
     monkeypatch.setattr("wbmpc.ros2.robot.ZEROS", -10.0)
     robot_io = pair().control.robot_io
     robot_io.arm()

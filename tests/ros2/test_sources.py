@@ -46,7 +46,7 @@ class Publisher:
 
 @pytest.fixture
 def wall(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """The wall's clock [s], which is the test's."""
+    """The wall clock [s], which is the test's."""
     now = [5.0]
     monkeypatch.setattr("wbmpc.ros2.sources.time", SimpleNamespace(monotonic=lambda: now[0]))
     return now

@@ -35,7 +35,7 @@ if not MISSING:
 def test_by_the_walls_clock_states_are_as_old_as_their_arrival_if_their_stamp_moves(
     pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two machines' clocks may differ by hours; a driver that hangs repeats itself. The wall's clock is the test's."""
+    """Two machines' clocks may differ by hours; a driver that hangs repeats itself. The wall clock is the test's."""
     body, t, now = pair(use_sim_time=False).control.robot_io, types("jazzy"), [7.0]
     monkeypatch.setattr("wbmpc.ros2.robot.time", SimpleNamespace(perf_counter=lambda: now[0]))
     names = [n for g in ("leg", "steer", "wheel", "arm") for n in ROBOT.state.groups[g]]
@@ -127,7 +127,7 @@ def test_a_recorded_bag_replayed_into_the_node(pair: Callable[..., Any], tmp_pat
 
 @pytest.mark.parametrize("speed", [0.05, 0.3, 1.0, 20.0])
 def test_the_bus_clock_knows_how_fast_its_time_passes(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Truth: 400 messages in each second of the bus, at times of the wall's clock that are the test's; 0.1 s of silence of a
+    """Truth: 400 messages in each second of the bus, at times of the wall clock that are the test's; 0.1 s of silence of a
     simulator in real time, or of a faster one, is too long, and of a slower one as much of its own time."""
     wall = [5.0]
     monkeypatch.setattr("wbmpc.ros2.clock.time.monotonic", lambda: wall[0])

@@ -86,12 +86,12 @@ def test_a_shadow_on_the_floor_lies_along_the_sun(kind: str, size: tuple[float, 
     camera = Camera((0.0, 0.0, 0.0), 5.0, 0.5 * np.pi, -0.5 * np.pi, 0.6, follow=False)
     lying = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)  # its z axis is along x
     shape = Shape("body", kind, size, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (0.9, 0.2, 0.1, 1.0))
-    puppet = SceneModel(Scene("body", (Body("body", "world", True),), (shape,)))
+    scene_model = SceneModel(Scene("body", (Body("body", "world", True),), (shape,)))
     middle, pictures = np.array([0.2, -0.1, 0.8]), {}
-    puppet.place([[*middle, *lying]])
+    scene_model.place([[*middle, *lying]])
     for shadows in ("none", "floor"):
         try:
-            renderer = Renderer(puppet, 320, 180, shadows=shadows, samples=0)  # type: ignore[arg-type]
+            renderer = Renderer(scene_model, 320, 180, shadows=shadows, samples=0)  # type: ignore[arg-type]
         except WbmpcError as error:
             pytest.skip(str(error))
         with renderer:

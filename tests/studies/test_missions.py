@@ -237,7 +237,7 @@ FILE = "calibration=wheels.yaml"
         (
             "swerve-fixed",
             ["random_time=10", "motions=[forward,turning,forward]"],
-            "motions: 'forward' stands there twice",
+            "motions: 'forward' appears twice",
         ),
     ],
 )

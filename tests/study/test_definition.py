@@ -86,7 +86,7 @@ WRONG = {
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: {from: 3, to: 1, steps: 4}}": "from=3 must be below to=1",
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: {from: 0, to: 1, steps: 4, log: true}}": "a log range needs from > 0",
     "experiments: [VALLEY]\nseeds: 3\ndraws: 4": "draws: nothing is random",
-    "experiments: [VALLEY]\nseeds: 3\nvary: {offset: [1, 1.0]}": "offset=1: these settings are there twice",
+    "experiments: [VALLEY]\nseeds: 3\nvary: {offset: [1, 1.0]}": "offset=1: these settings appear twice",
     # counted, not made: they would fill the memory
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: RANGE, control.gain: RANGE, robot: [a, b]}": "200000000 combinations of settings; at most",
     "experiments: [VALLEY]\nseeds: 3\ndraws: 100000\nvary: {offset: {from: 0, to: 1, random: true}}": "100000 combinations of settings",

@@ -21,7 +21,7 @@ from wbmpc.view.replay_plots import marked, thinned
 
 @pytest.mark.parametrize("pictures", [30, 230, 2000])
 def test_plots_show_the_last_seconds_of_the_run_however_slowly_it_goes(pictures: int) -> None:
-    """Pictures come by the wall's clock: of a run slower than real time there are more to a second of its own time."""
+    """Pictures come by the wall clock: of a run slower than real time there are more to a second of its own time."""
     history, peaks = History(), []
     for k in range(40 * pictures):
         t = k / pictures

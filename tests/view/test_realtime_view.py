@@ -38,16 +38,16 @@ def moved(robot: Any) -> np.ndarray:
 @pytest.mark.parametrize("name", ["swerve-ur10", "rezero"])
 def test_pictures_show_the_estimated_state(name: str) -> None:
     robot = load_robot(name)
-    puppet, reader = realtime.scene_of(robot)
+    plant, reader = realtime.scene_of(robot)
     x = moved(robot)
-    puppet.arrange(x)
-    frames = puppet.world.frames(height=0.0)
+    plant.arrange(x)
+    frames = plant.world.frames(height=0.0)
     position, orientation = robot.pose(x)
     lift = [0.0, 0.0, getattr(robot.description.base, "ball_radius", 0.0)]
     np.testing.assert_allclose(frames["tool"], position + lift, atol=2e-3)
     turned = lie.rotation_to_quaternion(frames["tool_rotation"])
     assert abs(turned @ orientation) == pytest.approx(1.0, abs=1e-6)
-    assert reader.poses(puppet.data).shape == (len(reader.scene.bodies), 7)
+    assert reader.poses(plant.data).shape == (len(reader.scene.bodies), 7)
 
 
 def test_contacts_are_drawn_where_the_estimate_is() -> None:
@@ -56,8 +56,8 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
     moments = Mailbox({"t": (), "late": (), "x": (robot.home.size,), "ticks": (), "misses": ()})
     picture = realtime.Picture("swerve-ur10", moments, seen := Mailbox(physics.SEEN))
     moments.write(t=1.0, late=0.002, x=robot.home, ticks=400.0, misses=3.0)
-    picture._puppet.arrange(robot.home)
-    base = picture._reader.poses(picture._puppet.data)[picture._reader.scene.index].copy()
+    picture._plant.arrange(robot.home)
+    base = picture._reader.poses(picture._plant.data)[picture._reader.scene.index].copy()
     base[0] += 0.5
     arrow, point = np.array([[1.2, 0.0, 0.0], [1.2, 0.0, 0.3]]), np.array([0.6, 0.1, 0.0])
     nothing = {name: np.full(shape, np.nan) for name, shape in physics.SEEN.items()}

@@ -46,7 +46,7 @@ def available_base_types() -> list[str]:
 def base_type(name: str) -> BaseType:
     """The plug-in of a base type. Raises :class:`InputError` for a name that no table has, or a plug-in that cannot be imported.
 
-    What a plug-in leaves out is there all the same and raises :class:`InputError`, as :class:`wbmpc.bases.base.BaseType` has it.
+    A part that a plug-in leaves out raises :class:`InputError` when it is called, as in :class:`wbmpc.bases.base.BaseType`.
     """
     locations = _locations()
     if name not in locations:

@@ -195,10 +195,10 @@ class Base(Protocol):
     value of groups of ``mode``. ``brakes``: groups of ``mode`` that are brakes (1 open, 0 closed), and the input group each holds.
     ``ground`` [m]: height of the floor in the model's world (negative where the world's origin is
     above it). ``body_height`` [m]: of the body's frame above the floor at home. ``balances``: the robot falls when it is stopped.
-    ``wheels``: how many wheels :meth:`rolling` has rows of; 0 where no constraint makes them roll. ``footprint``: None where the
-    base does not stand on feet of its own. ``twist`` (3, m): what the body's frame does (vx, vy, wz) by the speeds that the base can have,
-    the last of which is the turn. An optional ``jacobian(x, u, w, m)`` gives ẋ and its Jacobian (nx, nx + nu) where
-    there is a shorter way than to differentiate ``derivative``. Where there are brakes, an optional ``check_brakes(leg, brake)``
+    ``wheels``: number of wheels with rows in :meth:`rolling`; 0 if no constraint makes them roll. ``footprint``: None where the
+    base does not stand on feet of its own. ``twist`` (3, m): twist of the body's frame (vx, vy, wz) per unit of the base's m speeds, the
+    last of which is the turn. An optional ``jacobian(x, u, w, m)`` gives ẋ and its Jacobian (nx, nx + nu) if they are cheaper than the
+    differentiated ``derivative``. Where there are brakes, an optional ``check_brakes(leg, brake)``
     raises :class:`InputError` if joints that stay at ``leg`` (n) [rad] with ``brake`` (n, 1 = open) let the base move freely.
     """
 
@@ -233,7 +233,7 @@ class Base(Protocol):
         """Rolling (wheels) and side-slip (wheels) velocities [m/s] of the contacts, zero where wheels roll."""
 
     def constraints(self, robot: RobotModel, *, hard: bool = True) -> list[Constraint]:
-        """What every problem on this base needs: rolling wheels, closed brakes; limits of its own are ``hard`` or cost their violation."""
+        """Constraints of every problem on this base: rolling wheels, closed brakes. Its own limits are ``hard``, or soft."""
 
     def limits(self, description: RobotDescription) -> Limits:
         """Bounds of state and input."""
@@ -278,7 +278,7 @@ class WheelFit(Protocol):
 
 
 class Reshaping(Protocol):
-    """What adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the robot at home
+    """Adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the robot at home
     in its narrowest shape; ``free``: the mode in which its shape may change."""
 
     narrowest: Array
@@ -306,7 +306,7 @@ class Calibrator(Protocol):
 
 
 class BaseType(Protocol):
-    """A plug-in. Its instances hold nothing."""
+    """The plug-in of a base type. Its instances have no state."""
 
     Description: type[BaseDescription]
 
@@ -314,11 +314,11 @@ class BaseType(Protocol):
         """Raise :class:`InputError` for a robot file whose mechanics this base type does not describe."""
 
     def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
-        """How this base type would describe a model with these driven ``wheels``; None where it cannot."""
+        """A proposal of the ``base`` section for a model with these driven ``wheels``; None if this base type does not fit."""
         return None
 
     def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
-        """What a user has to know of a described base that loads, or should mend."""
+        """Findings on a base that loads: what its user should know or fix."""
         return []
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> Base:
@@ -374,11 +374,11 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "ros_plant")
 
     def calibrator(self, robot: RobotModel) -> Calibrator:
-        """What finds the wheels' calibration from a log."""
+        """Finds the calibration of the wheels from a log."""
         reject_missing_part(robot.description, "calibrator")
 
 
-#: What the parts of a plug-in are called in errors; one that it does not define is inherited from :class:`BaseType`.
+#: Names of the parts of a plug-in in error messages; a part that it does not define is inherited from :class:`BaseType`.
 PARTS = {
     "check": "check of its mechanics", "propose": "proposal for a new robot", "reshaping": "change of shape", "diagnose": "diagnosis",
     "model": "model", "plant": "simulated robot", "mpc": "problem with default weights", "system": "simulated robot with a controller",
@@ -387,7 +387,7 @@ PARTS = {
 }  # fmt: skip
 
 
-#: Gives the names of the base types that define a part: the table's own, which sets it (the table imports this module).
+#: Returns the names of the base types that define a part. Set by :mod:`wbmpc.bases`, which imports this module.
 offering: Callable[[str], list[str]] = lambda part: []
 
 

@@ -6,6 +6,6 @@ from wbmpc.kernel.library import Library
 
 _STEPS = ("support_step", "simplex_step", "gap_step", "pairs_step", "grid_step", "own_step")
 LIBRARY = Library(
-    "nearest points", rooms=("clearance", "kernel"), modules=tuple(f"wbmpc.clearance.{m}" for m in _STEPS)
+    "nearest points", packages=("clearance", "kernel"), modules=tuple(f"wbmpc.clearance.{m}" for m in _STEPS)
 )
 compiled, step = LIBRARY.compiled, LIBRARY.step

@@ -176,7 +176,7 @@ def run(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a setting, e.g. mpc.rate=100; may be repeated."),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="A YAML file of settings; --set comes after it.")] = None,
+    config: Annotated[Path | None, typer.Option(help="A YAML file of settings; --set overrides it.")] = None,
     list_settings: Annotated[
         bool, typer.Option("--settings", help="List the settings, with values, units and ranges; run nothing.")
     ] = False,

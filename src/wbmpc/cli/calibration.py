@@ -99,7 +99,7 @@ def calibrate(
         typer.Option(
             min=1e-6,
             max=0.25,
-            help="Prior standard deviation of all radii together, relative; of each alone half of it.",
+            help="Prior relative standard deviation of the common wheel radius; half of it for each single wheel.",
         ),
     ] = 2e-3,
     force: Force = False,

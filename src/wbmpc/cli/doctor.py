@@ -1,4 +1,4 @@
-"""`wbmpc doctor`: what is wrong with a robot's file, and how to mend it."""
+"""`wbmpc doctor`: what is wrong with a robot's file, and how to fix it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def doctor(
     argument: Arguments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Check a robot's file: faults and how to fix them, and what to know about it. Exit status 2 if there are errors."""
+    """Check a robot's file: list faults, how to fix them, and properties worth knowing. Exit status 2 if there are errors."""
     from wbmpc.robots.doctor import examine_robot
 
     folders = {name: Path(folder) for name, folder in pairs("--package", package).items()}

@@ -246,7 +246,7 @@ def _comments(draft: Draft, home: Home) -> dict[str, str]:
         )
         + (f"; others: {', '.join(others)}" if others else ""),
         "couple": "joints that follow others, as the model says (mimic)",
-        "fixed_joints": "held: joints that neither base nor arm moves",
+        "fixed_joints": "joints that neither base nor arm moves",
         "home": f"best of random postures: end effector at x = {x:.2f} m, {z:.2f} m above the floor{free}",
         "limits": "What is not here is as the model has it (ranges, efforts).",
         "limits.velocity": f"[rad/s, m/s] {speeds}",
@@ -285,10 +285,10 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapp
         "" if home.free is not False else "; shapes touch there"
     )
     pairs = data.get("collision", {}).get("self", {}).get("pairs", ())
-    yield f"  kept apart: {len(pairs)} pairs of its own bodies" + (
+    yield f"  self-collision: {len(pairs)} pairs of bodies are kept apart" + (
         "" if pairs else " (wbmpc doctor says which shapes it has)"
     )
-    yield f"  held: {', '.join(robot.description.fixed_joints) or 'none'}"
+    yield f"  fixed joints: {', '.join(robot.description.fixed_joints) or 'none'}"
     if draft.subject.driven and not robot.description.base.moves:
         yield f"  note: its wheels stand still; why no base type drives them: wbmpc doctor {draft.mechanism.file.path}"
     found = examine_robot(str(path))

@@ -16,7 +16,7 @@ from wbmpc.output_file import write_text
 if TYPE_CHECKING:
     from wbmpc.recording.reader import Recording
 
-log = typer.Typer(name="log", help="Look into the recording of a run.")
+log = typer.Typer(name="log", help="Inspect, plot and export the recording of a run.")
 
 File = Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")]
 Topics = Annotated[list[str] | None, typer.Argument(help="Topics (default: all that fit).")]
@@ -27,7 +27,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and 
 
 @log.callback(invoke_without_command=True)
 def log_options(context: typer.Context) -> None:
-    """Look into the recording of a run."""
+    """Inspect, plot and export the recording of a run."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -45,7 +45,7 @@ def _summary(recording: Recording) -> dict[str, Any]:
 
 @log.command()
 def info(file: File, as_json: AsJson = False) -> None:
-    """What a recording holds."""
+    """Show the topics, times and metadata of a recording."""
     from wbmpc.recording.reader import read_recording
 
     recording = read_recording(file)
@@ -77,7 +77,7 @@ def plot(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Draw topics, or an overview, into one HTML page."""
+    """Plot topics, or an overview, on one HTML page."""
     from wbmpc.recording.plots import of_topics, overview
     from wbmpc.recording.reader import read_recording
     from wbmpc.report import plots_page
@@ -131,7 +131,7 @@ def layout(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a layout for Foxglove that shows the recording at once: the robot, its paths, plots."""
+    """Write a Foxglove layout for the recording: the robot, its paths, plots."""
     from wbmpc.recording.layout import layout as made
     from wbmpc.recording.reader import read_recording
 
@@ -151,7 +151,7 @@ def compare(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compare runs: their metrics in a table, their signals over each other in a page."""
+    """Compare runs: their metrics in a table, their signals overlaid on a page."""
     from wbmpc.compare import (
         differences,
         experiments,

@@ -27,7 +27,7 @@ def reproduce(
     clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Draw a clip of each experiment.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
 ) -> None:
-    """Run the experiments over seeds and write one site: figures beside the paper's, clips, every run's page.
+    """Run the experiments over seeds and write one site: figures compared with the papers', clips, a page for every run.
 
     The site shows all finished runs of its directory, also those of earlier calls.
     """
@@ -43,7 +43,7 @@ def reproduce(
             failed = run_all(jobs, workers or len(os.sched_getaffinity(0)), progress)
         except KeyboardInterrupt:
             done = f"{sum(job.done for job in jobs)} of {len(jobs)} runs are finished"
-            typer.echo(f"wbmpc: interrupted: {done}; the same command goes on from there", err=True)
+            typer.echo(f"wbmpc: interrupted: {done}; the same command continues from there", err=True)
             raise typer.Exit(INTERRUPTED) from None
     jobs = jobs_of_site(jobs, out, list(context.obj.registry))
     index = write_site(jobs, failed, out, clips)

@@ -20,7 +20,7 @@ Config = Annotated[Path | None, typer.Option("--config", help="YAML file: topics
 BackEnd = Annotated[str, typer.Option("--backend", help="auto, rclpy or dds.")]
 SimTime = Annotated[bool, typer.Option("--use-sim-time", help="Take the time from /clock.")]
 Lockstep = Annotated[
-    bool, typer.Option("--lockstep", help="For both nodes: states wait for commands, in simulated time.")
+    bool, typer.Option("--lockstep", help="For both nodes: the simulation waits for each command, in simulated time.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else, when it has ended.")]
 #: So long [s] a check listens at most: a day. What sleeps for ever does not answer.
@@ -118,7 +118,7 @@ def ros2_sim(
     config: Config = None,
     backend: BackEnd = "auto",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the plant and of all noise.")] = 200,
-    factor: Annotated[float, typer.Option(min=0.01, help="How much faster than real time.")] = 1.0,
+    factor: Annotated[float, typer.Option(min=0.01, help="Speed of the simulation relative to real time.")] = 1.0,
     seconds: Annotated[float, typer.Option(min=0.1, help="Simulated time after which it ends.")] = 1e9,
     use_sim_time: SimTime = False,
     lockstep: Lockstep = False,

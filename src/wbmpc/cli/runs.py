@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def runs(
-    directory: Annotated[Path, typer.Argument(help="Where to look, in folders below it too.")] = Path("runs"),
+    directory: Annotated[Path, typer.Argument(help="Directory to search, with its subdirectories.")] = Path("runs"),
     page: Annotated[Path | None, typer.Option(help="Write a page that sorts and filters the runs.")] = None,
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,

@@ -22,12 +22,14 @@ def stability(
     wrench: Annotated[
         str,
         typer.Option(
-            help="What the world does to the end effector: force (N), or force and moment (N m): 0,0,-50; z along the ground's normal."
+            help="External force (N) on the end effector, or force and moment (N m): 0,0,-50; z along the ground's normal."
         ),
     ] = "0,0,0",
     arm: Annotated[str | None, typer.Option(help="Angles of the arm's joints (rad; default: home).")] = None,
     slope: Annotated[float, typer.Option(help="Slope of the ground (rad).")] = 0.0,
-    uphill: Annotated[float, typer.Option(help="Direction in which the ground rises, from ahead (rad).")] = 0.0,
+    uphill: Annotated[
+        float, typer.Option(help="Direction in which the ground rises, relative to straight ahead (rad).")
+    ] = 0.0,
     plot: Annotated[Path | None, typer.Option(help="Write a drawing from above (SVG).")] = None,
     force: Force = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,

@@ -37,11 +37,11 @@ File = Annotated[
     typer.Argument(metavar="STUDY", help="A YAML file, or the name of a study of this package.", autocompletion=_names),
 ]
 Out = Annotated[
-    Path | None, typer.Option(help="Directory of the results (default: runs/NAME); what is finished there is kept.")
+    Path | None, typer.Option(help="Directory of the results (default: runs/NAME); finished runs there are kept.")
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(min=0, help="Processes (default: as many as there are cores; 0: this one alone, for a debugger)."),
+    typer.Option(min=0, help="Worker processes (default: one per core; 0: run in this process, for a debugger)."),
 ]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler whose workers do the runs, as tcp://host:8786.")
@@ -72,7 +72,7 @@ def _progress(study: Study, title: str, verbose: bool) -> Iterator[Callable[[flo
         try:
             yield bar or (lambda _, note: typer.echo(note, err=True) if verbose else None)
         except KeyboardInterrupt:
-            typer.echo(f"wbmpc: interrupted: what is finished is in {study.out}; the same command goes on", err=True)
+            typer.echo(f"wbmpc: interrupted: finished runs are in {study.out}; the same command continues", err=True)
             raise typer.Exit(INTERRUPTED) from None
 
 
@@ -82,7 +82,9 @@ def study(
     out: Out = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    report: Annotated[bool, typer.Option("--report", help="Run nothing; tables and page of what is finished.")] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Run nothing; write tables and page of the finished runs.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run an experiment over settings, seeds and robots; one row per run, statistics and a page."""

@@ -28,7 +28,7 @@ Port = Annotated[int, typer.Option(help="Port of the view; if it is busy, the ne
 
 NoToken = Annotated[
     bool,
-    typer.Option("--no-token", help="Let everybody on this machine use the view, without the token in its address."),
+    typer.Option("--no-token", help="Let every user of this machine open the view, without the token in its address."),
 ]
 
 
@@ -57,21 +57,21 @@ def open_view(title: str, host: str, port: int, no_token: bool = False, *, as_js
 
 def view(
     robot: Annotated[
-        str, typer.Argument(help="Name of a robot (see 'wbmpc list'), or one's own YAML.", autocompletion=robot_names)
+        str, typer.Argument(help="Name of a robot (see 'wbmpc list') or its YAML file.", autocompletion=robot_names)
     ],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
     realtime: Annotated[
         bool,
-        typer.Option("--realtime", help="Controller, MPC and physics each by the wall clock; nothing can be paused."),
+        typer.Option("--realtime", help="Run controller, MPC and physics in real time; the run cannot be paused."),
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Directory for a recording (left out: none is made).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Directory for a recording (default: no recording).")] = None,
     host: Host = LOCAL,
     port: Port = 8080,
     no_token: NoToken = False,
     record_limit: RecordLimit = RECORD_LIMIT,
     as_json: AsJson = False,
 ) -> None:
-    """Drive a robot in a browser: it stands in MuJoCo with its MPC and goes where its goals are dragged."""
+    """Drive a simulated robot in a browser: drag its goals, and its MPC follows them."""
     limit = size_of("--record-limit", record_limit)
     if out is None and record_limit != RECORD_LIMIT:
         raise InputError("--record-limit: nothing is recorded without --out DIRECTORY")
@@ -124,14 +124,14 @@ def _view_realtime(robot: str, seed: int, host: str, port: int, no_token: bool, 
 
 def replay(
     file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
-    html: Annotated[Path | None, typer.Option(help="Write one page that needs no server, instead.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write a page that needs no server, and show nothing.")] = None,
     force: Force = False,
     host: Host = LOCAL,
     port: Port = 8080,
     no_token: NoToken = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show a recording in a browser, with a time bar; or write it as one page."""
+    """Show a recording in a browser, with a time bar, or write it as one page."""
     from importlib.util import find_spec
 
     from wbmpc.recording.reader import read_recording
@@ -163,20 +163,20 @@ def replay(
 
 def render(
     file: Annotated[Path, typer.Argument(help="The recording (run.mcap), or the directory of the run.")],
-    mp4: Annotated[Path | None, typer.Option(help="Write a film.")] = None,
+    mp4: Annotated[Path | None, typer.Option(help="Write an MP4 video.")] = None,
     gif: Annotated[Path | None, typer.Option(help="Write an animated GIF.")] = None,
     webp: Annotated[Path | None, typer.Option(help="Write an animated WebP, which is smaller than a GIF.")] = None,
-    png: Annotated[Path | None, typer.Option(help="Write a picture of the moment --start.")] = None,
-    start: Annotated[float, typer.Option(help="From this time on (seconds).")] = 0.0,
-    end: Annotated[float, typer.Option(help="Up to this time (seconds; default: all).")] = math.inf,
-    speed: Annotated[float, typer.Option(help="Of the clip against the run.")] = 1.0,
+    png: Annotated[Path | None, typer.Option(help="Write a picture at the time --start.")] = None,
+    start: Annotated[float, typer.Option(help="Start time (seconds).")] = 0.0,
+    end: Annotated[float, typer.Option(help="End time (seconds; default: the end of the run).")] = math.inf,
+    speed: Annotated[float, typer.Option(help="Speed of the clip relative to the run.")] = 1.0,
     width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
     height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,
-    labels: Annotated[bool, typer.Option(help="Title, time and the meaning of lines on it.")] = True,
+    labels: Annotated[bool, typer.Option(help="Draw title, time and a legend of the lines.")] = True,
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    """Draw a recording into a film, a GIF or a picture, without a display."""
+    """Render a recording as a video, a GIF or a picture; no display is needed."""
     from wbmpc.recording.reader import read_recording
     from wbmpc.view.render import render as draw
     from wbmpc.view.replay import Film

@@ -4,5 +4,5 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-LIBRARY = Library("control", rooms=("control", "kernel"), modules=("wbmpc.control.drive_step",))
+LIBRARY = Library("control", packages=("control", "kernel"), modules=("wbmpc.control.drive_step",))
 step = LIBRARY.step

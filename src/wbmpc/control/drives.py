@@ -1,7 +1,7 @@
-"""What drives that follow speeds make of commands, and what encoders that are read a little before their message show of it.
+"""Compensates dry friction of velocity-controlled drives, and smooths positions of encoders that are read before their message.
 
-A first-order lag delays a command; dry friction takes a constant speed off it (a servo that gives gain times the missing speed
-turns slower than commanded by friction over gain), in whichever direction it turns.
+A drive follows a command with a first-order lag and turns slower than commanded by a constant speed, in either direction: a
+proportional velocity servo lags by friction over gain.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 
 
 class DryFriction:
-    """Of n drives, learned from what they turn and given back to their commands.
+    """Dry friction of n drives: estimated from their measured motion, and compensated in their commands.
 
-    ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by what each turns slower than commanded.
+    ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by how much each turns slower than commanded.
     ``backend``: machine code (:mod:`wbmpc.control.drive_step`), or the same source as ordinary Python.
     """
 
@@ -35,7 +35,7 @@ class DryFriction:
 
     @property
     def droop(self) -> Array:
-        """(n) [rad/s]."""
+        """By how much each drive turns slower than commanded (n) [rad/s]."""
         return self._arrays["droop"].copy()
 
     @droop.setter
@@ -43,16 +43,16 @@ class DryFriction:
         self._arrays["droop"][:] = droop
 
     def learn(self, turned: Array, h: float) -> None:
-        """From joints that turned by ``turned`` (n) [rad] in h [s], under the last command."""
+        """Update the estimate: the joints turned by ``turned`` (n) [rad] in h [s] under the last command."""
         if h > 0.0:
             self._arrays["turned"][:] = turned
             self._learn(h)
 
     def command(self, target: Array, maximum: Array | float, step: Array | float) -> Array:
-        """Commands for the drives (n) [rad/s] so that they turn as ``target`` (n), within ± ``maximum`` and by no more than ``step``
-        beside the command before. Slow ones get a share, or they would chatter about a standstill."""
+        """Commands for the drives (n) [rad/s] that make them turn at ``target`` (n), within ± ``maximum`` and at most ``step`` from the
+        previous command. At low speeds only a share of the friction is compensated: drives would chatter around standstill."""
         a = self._arrays
-        if maximum is not self._within[0] or step is not self._within[1]:  # the same ones at every tick
+        if maximum is not self._within[0] or step is not self._within[1]:  # usually the same at every tick
             a["maximum"][:], a["change"][:] = maximum, step
             self._within = maximum, step
         a["target"][:] = target
@@ -61,11 +61,12 @@ class DryFriction:
 
 
 class Smoothing:
-    """Positions (n) at the moment of a message, from encoders whose values are up to some milliseconds old, ``age`` [s] on average.
+    """Positions (n) at the time of a message, from encoders whose values are some milliseconds old, ``age`` [s] on average.
 
-    Values that are age × speed behind, with another age in each message, are noise of a known mean. What the drives should have
-    done carries the positions on, and messages correct them over ``time`` [s]. ``arrays``: ``read``, ``rates`` and ``value`` (n) by their
-    names in :func:`wbmpc.control.drive_step.smooth`; ``value`` is that of the last message once it has ``started``.
+    The age varies from message to message, so a value has an error of speed × age: noise with a known mean. The expected motion of the
+    drives predicts the positions, and messages correct them with the time constant ``time`` [s]. ``arrays``: ``read``, ``rates`` and
+    ``value`` (n), as in :func:`wbmpc.control.drive_step.smooth`; ``value`` is the one of the last message. ``started``: there has been a
+    message.
     """
 
     def __init__(self, time: float, age: float, count: int, backend: Backend = "compiled") -> None:
@@ -81,7 +82,7 @@ class Smoothing:
         return self.arrays["value"].copy() if self.started else None
 
     def update(self, measured: Array, rates: Array, h: float) -> Array:
-        """After h [s] in which drives should have moved at ``rates`` (n)."""
+        """The positions (n) after a message: ``measured`` (n), h [s] after the previous one; the drives should have moved at ``rates`` (n)."""
         a = self.arrays
         a["read"][:], a["rates"][:] = measured, rates
         self._smooth(self.started, h)

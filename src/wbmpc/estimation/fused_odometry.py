@@ -324,7 +324,7 @@ class FusedOdometry:
         independent of the noise of the twist, which is taken in apart from it."""
         n, arrays, moved = self._n, self._memory.arrays, Increment.of(self._memory.wheels)
         leg = 0.5 * (arrays["before"][:n] + arrays["now"][:n])
-        rows = moved.shown_by_legs(self.geometry.leg_motions(leg, self.geometry.steer_axes(leg)), is_open)
+        rows = moved.leg_residual_basis(self.geometry.leg_motions(leg, self.geometry.steer_axes(leg)), is_open)
         along = np.stack([np.cos(moved.heading), np.sin(moved.heading)], axis=1) * moved.rolled[:, None]
         each = rows.reshape(len(rows), n, 2)
         by_zero = each[:, :, 0] * along[:, 1] - each[:, :, 1] * along[:, 0]

@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 #: Row vectors times this: turned by a quarter to the left.
 _QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
-#: A leg's swing of which twists explain all but so much shows nothing.
+#: Minimum share of a leg's swing that no twist explains; below it the swing is not observable.
 WEAK = 0.1
 #: Positions (n) [rad] of legs, steering and wheels that were read together.
 Sample = tuple[Array, Array, Array]
@@ -30,10 +30,10 @@ Sample = tuple[Array, Array, Array]
 
 @dataclass(frozen=True)
 class Increment:
-    """What the wheels say about a motion between two samples.
+    """The motion of the base between two samples, estimated from its wheels.
 
-    ``twist`` (dx, dy, dyaw) [m, rad]: integral of the body twist that fits best; ``residual`` (n, 2) [m]: by what each
-    wheel's displacement differs from it; ``rolled`` (n) [m] and ``heading`` (n) [rad]: length of each wheel's path, with
+    ``twist`` (dx, dy, dyaw) [m, rad]: integral of the body twist that fits best; ``residual`` (n, 2) [m]: difference of
+    each wheel's displacement from it; ``rolled`` (n) [m] and ``heading`` (n) [rad]: length of each wheel's path, with
     sign, and its direction in the body; ``fit`` (3, n, 2): derivative of the twist by the wheels' displacements.
     """
 
@@ -45,13 +45,13 @@ class Increment:
 
     @classmethod
     def of(cls, fitted: WheelFit) -> Increment:
-        """What the arrays of a fit hold now."""
+        """A copy of the present result of a fit."""
         m, n = fitted.memory, fitted.n
         residual, slope = m["residual"].reshape(n, 2), m["slope"].reshape(3, n, 2)
         return cls(m["twist"].copy(), residual.copy(), m["rolled"].copy(), m["heading"].copy(), slope.copy())
 
-    def shown_by_legs(self, motions: Array, is_open: Mask) -> Array:
-        """Components (k, 2n) of the residual, orthonormal, that cannot be slip while some legs are open; ``motions`` (n, 2): of the steer
+    def leg_residual_basis(self, motions: Array, is_open: Mask) -> Array:
+        """Orthonormal basis (k, 2n) of the residuals that cannot be slip while some legs are open; ``motions`` (n, 2): of the steer
         axes at a rate of 1 of the legs' joints, ``is_open`` (n) bool.
 
         The wheels push each other with forces that balance and do no work on a leg that is open: slip is in their span.
@@ -75,9 +75,10 @@ class Increment:
         return np.asarray(along * self.rolled)
 
 
-def odd_one_out(residual: Array, axes: Array) -> tuple[int, float]:
-    """Which wheel the others do without best, and the share of all squares that is gone without it; ``residual`` (n, 2), or (k, n, 2) of
-    k intervals, of a least-squares twist that counts all wheels alike, ``axes`` (n, 2) [m] of the wheels.
+def outlier_wheel(residual: Array, axes: Array) -> tuple[int, float]:
+    """The wheel without which the least-squares fit improves most, and the share of the sum of squares that vanishes without it.
+
+    ``residual`` (n, 2), or (k, n, 2) of k intervals: of a twist fitted with equal weights; ``axes`` (n, 2) [m]: positions of the wheels.
 
     Leaving out wheel i lowers the sum of squares by r_i' (1 - H_ii)^-1 r_i, H being the projection on what twists give.
     """
@@ -151,19 +152,19 @@ class WheelOdometry:
         return self.pose
 
     def restart(self) -> None:
-        """The encoders start again: the next message moves nothing."""
+        """Forget the last sample: the encoders start again, and the next message moves nothing."""
         self._started = False
         for name in ("twist", "residual"):
             self._fit.memory[name][:] = 0.0
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """``twist`` (3) and ``residual`` (2n) of the last update, as arrays that go on."""
+        """``twist`` (3) and ``residual`` (2n) of the last update; the arrays change with every update."""
         return {name: self._fit.memory[name] for name in ("twist", "residual")}
 
     @property
     def slip(self) -> float:
-        """Root mean square [m] of what the wheels of the last increment contradict each other: a detector of slip."""
+        """Root mean square [m] of the last increment's residual: how far the wheels disagree. It detects slip."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
     def checked(self, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike) -> Sample:

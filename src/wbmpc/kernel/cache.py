@@ -24,7 +24,7 @@ from wbmpc.errors import KernelError
 from wbmpc.input_file import expanded
 
 _LOG = logging.getLogger("wbmpc")
-_ROOMS = (".", "kernel", "ocp", "model")
+_PACKAGES = (".", "kernel", "ocp", "model")
 #: Who else may write.
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 #: A directory that others are looked up in: to search it is enough, it need not be readable.
@@ -55,11 +55,11 @@ def cache_directory() -> Path:
 
 
 @cache
-def source_fingerprint(rooms: tuple[str, ...] = _ROOMS) -> str:
-    """Hash of the code that generates code, as it was when first asked for: a change of it makes a new entry."""
+def source_fingerprint(packages: tuple[str, ...] = _PACKAGES) -> str:
+    """Hash of the Python files in ``packages``, folders relative to wbmpc or absolute, at the first call: changed code makes a new entry."""
     digest = hashlib.sha256()
-    package = Path(__file__).parents[1]
-    for path in sorted(p for room in rooms for p in (package / room).glob("*.py")):
+    root = Path(__file__).resolve().parents[1]
+    for path in sorted({p for package in packages for p in (root / package).glob("*.py")}):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

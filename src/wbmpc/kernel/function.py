@@ -16,7 +16,7 @@ from wbmpc.kernel.library import Library
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function
 from wbmpc.kernel.step import bind
 
-LIBRARY = Library("functions", rooms=("kernel",))
+LIBRARY = Library("functions", packages=("kernel",))
 call2 = PointerCall(2)
 
 

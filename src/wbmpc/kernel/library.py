@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from functools import update_wrapper
 from importlib import import_module
+from pathlib import Path
 from types import FunctionType
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
@@ -193,15 +194,15 @@ def _call_and_store(s: Signature, passed: list[str], out: str, first: int) -> li
 class Library:
     """Functions that are compiled together, when the first of them is called, and kept in the cache.
 
-    ``rooms``: folders of the package whose source decides whether a cached build is still right; none: no cache.
-    ``modules`` are imported first, so that the library is whole whichever of its functions is called first. ``uses``: other
+    ``packages``: folders of wbmpc whose source, with that of the folders of the library's own functions, decides whether a cached build is
+    valid; empty: no cache. ``modules`` are imported first, so that the library is complete whichever function is called first. ``uses``: other
     libraries, whose functions its own ones may call (without vectors).
     """
 
     def __init__(
-        self, name: str, rooms: tuple[str, ...] = (), modules: tuple[str, ...] = (), uses: tuple[Library, ...] = ()
+        self, name: str, packages: tuple[str, ...] = (), modules: tuple[str, ...] = (), uses: tuple[Library, ...] = ()
     ) -> None:
-        self.name, self.rooms, self.modules, self.uses = name, rooms, modules, uses
+        self.name, self.packages, self.modules, self.uses = name, packages, modules, uses
         self.functions: list[Function[..., Any]] = []
         self._engine: Any = None
         self._lock = threading.Lock()
@@ -244,8 +245,14 @@ class Library:
         from wbmpc.kernel.codegen_target import target_text
 
         functions = " ".join(sorted(f.signature.symbol for f in self.functions))
-        text = f"{self.name} {cache.source_fingerprint(self.rooms)} {target_text()} {functions}"
+        source = cache.source_fingerprint((*self.packages, *self._folders()))
+        text = f"{self.name} {source} {target_text()} {functions}"
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def _folders(self) -> list[str]:
+        """Folders of the functions' files: a library of another package is outside of wbmpc's own."""
+        files = {Path(f.python.__code__.co_filename) for f in self.functions}
+        return sorted({str(file.resolve().parent) for file in files if file.is_file()})
 
     def optimized(self) -> bytes:
         """LLVM bitcode of the library after the passes on it, for this machine or the target that code is generated for; cached."""
@@ -253,7 +260,7 @@ class Library:
 
         for module in self.modules:
             import_module(module)
-        key = hashlib.sha256(f"{self._key()} bitcode".encode()).hexdigest() if self.rooms else ""
+        key = hashlib.sha256(f"{self._key()} bitcode".encode()).hexdigest() if self.packages else ""
         found = cache.load(key, target=target_text()) if key else None
         if found is not None:
             return found[0]
@@ -271,7 +278,7 @@ class Library:
         with self._lock:
             if self._engine is not None:
                 return
-            key = self._key() if self.rooms else ""
+            key = self._key() if self.packages else ""
             found = cache.load(key, target=target_text()) if key else None
             if found is None:
                 code = emit(self.optimized())

@@ -8,7 +8,7 @@ from wbmpc.kernel.library import Library
 _STEPS = ("distance_step", "rays_step", "body_step")
 LIBRARY = Library(
     "maps",
-    rooms=("mapping", "clearance", "kernel"),
+    packages=("mapping", "clearance", "kernel"),
     modules=tuple(f"wbmpc.mapping.{m}" for m in _STEPS),
     uses=(compilation.LIBRARY,),
 )

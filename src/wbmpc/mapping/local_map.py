@@ -29,12 +29,13 @@ MAX_POINTS = 1_000_000
 class LocalMap:
     """Occupied cells of ``cell`` [m] in a window of ``size`` (3) [m] about the sensors; memory does not grow.
 
-    :meth:`add` takes in a scan, :meth:`publish` makes the map an obstacle. What was never seen counts as free. Points lower than ``floor``
-    [m] above the ground are the floor. ``reach`` [m] of the sensors: farther points only say that the way there is free. Points within
-    ``padding`` [m] of the ``robot`` (None: nothing to remove) are itself. A cell is free again when scans look through it some times, or
-    ``memory`` [s] after it was last seen. ``max_age`` [s]: a map whose oldest source is older ends plans in a stop. Coordinates are those of
-    plans (:meth:`wbmpc.model.robot.RobotModel.pose`). ``dropped``: points so far that were no measurements. ``shape`` (3): how many
-    cells it has along x, y, z. Use it from one thread.
+    :meth:`add` takes in a scan, :meth:`publish` makes the map an obstacle. Unseen cells count as free. Points lower than ``floor`` [m]
+    above the ground belong to the floor. ``reach`` [m] of the sensors: farther points only clear the cells along their ray. Points within
+    ``padding`` [m] of the ``robot`` (None: no robot) are removed. A cell becomes free again when several rays pass through it, or
+    ``memory`` [s] after it was last seen. ``max_age`` [s]: if a source is silent for longer, plans end in a stop. Coordinates are those
+    of
+    plans (:meth:`wbmpc.model.robot.RobotModel.pose`). ``dropped``: number of invalid points so far. ``shape`` (3): number of cells along x,
+    y, z. Use it from one thread.
     """
 
     def __init__(
@@ -108,8 +109,8 @@ class LocalMap:
     ) -> int:
         """Take in ``points`` (n, 3) [m] that ``source`` saw from ``origin`` (3) [m] at ``t`` [s], when the robot was in ``state`` (nx).
 
-        Points that are not finite or much too far are dropped and counted, and so is a scan that is older than the last one of its source.
-        Returns how many points became part of the map. Raises :class:`InputError` for other shapes and for a state that is missing.
+        Points that are not finite or much too far are dropped and counted, as is a scan older than the last one of its source. Returns the
+        number of points that entered the map. Raises :class:`InputError` for other shapes and for a state that is missing.
         """
         cloud, sensor = (
             checks.real_numbers("local map: 'points'", points),
@@ -159,8 +160,8 @@ class LocalMap:
         return t - min(self._times.values(), default=-np.inf)
 
     def publish(self, world: Obstacles, t: float, name: str = "map") -> None:
-        """Make the map as it is at ``t`` [s] an obstacle of ``world``. Raises :class:`~wbmpc.errors.SensorFailure` where there is no scan yet,
-        or one of the future: its age would say nothing."""
+        """Make the map as it is at ``t`` [s] an obstacle of ``world``. Raises :class:`~wbmpc.errors.SensorFailure` if there is no scan yet,
+        or one with a time in the future."""
         t = checks.absolute_time("local map", t)
         if not self._times:
             raise SensorFailure("local map: there is no scan yet")

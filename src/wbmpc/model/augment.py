@@ -107,10 +107,8 @@ class InputRate(_Augmented):
 
 
 class DriveLag(_Augmented):
-    """Groups of the input follow their commands with a first-order lag: ẏ = (u − y) / T.
-
-    ``time_constants`` [s] by group. The inputs keep their names and are the commands; what acts is the state
-    ``GROUP_actual``.
+    """Groups of the input follow their commands with a first-order lag: ẏ = (u − y) / T. ``time_constants`` [s] by group. The inputs keep
+    their names and are the commands; the state ``GROUP_actual`` is the input that acts.
 
     ``dynamics``: what is wrapped, ``groups`` of its input; ``state`` and ``input``: layouts of the wrapped x (nx) and u (nu).
     ``parameters``, ``mode``, ``mode_bounds``, ``unit_quaternions`` and ``jump`` (what an event does to x, where it does) are those of
@@ -162,11 +160,12 @@ class InputFilter:
 
 
 class FrequencyShaping(_Augmented):
-    """Frequency-aware inputs (Grandia et al., arXiv 1809.04539): ν is decided, u = C x_s + D ν acts, costs may weigh both.
+    """Frequency-aware inputs (Grandia et al., arXiv 1809.04539): ν is the decision variable, u = C x_s + D ν acts, and costs may weigh
+    both.
 
     ``filters`` by group: one for all its inputs, or one for each. State group ``GROUP_filter``, input group ``GROUP_shaped``;
-    residuals keep seeing u. :func:`wbmpc.ocp.frequency_aware` wraps a whole problem; by hand, drives that cannot follow fast
-    inputs are spared by a cost on ``ProblemInput(dynamics, ["GROUP_shaped"])``.
+    residuals keep seeing u. :func:`wbmpc.ocp.frequency_aware` wraps a whole problem; without it, add a cost for drives that cannot follow
+    fast inputs, on ``ProblemInput(dynamics, ["GROUP_shaped"])``.
     ``zero`` (k) [rad/s], ``pole`` (k) [rad/s] and ``high`` (k), the magnitude at high frequencies: of all k filtered inputs.
 
     ``dynamics``: what is wrapped, ``groups`` of its input; ``state`` and ``input``: layouts of the wrapped x (nx) and u (nu).

@@ -58,7 +58,7 @@ class Dynamics:
 
 
 class RobotModel:
-    """A described robot as symbolic functions on CasADi SX, with named layouts.
+    """Symbolic functions (CasADi SX) of a robot that a file describes, with named layouts.
 
     ``description``: the robot's file; ``base``: the symbolic side of its base type; ``tree``: its links; layouts of ``state`` (nx), ``input``
     (nu), ``parameters`` (np) that hold over a horizon, and ``mode`` values (nm): slices by group. Joints in rad or m, speeds in rad/s or m/s.
@@ -136,7 +136,7 @@ class RobotModel:
         return limits
 
     def dynamics(self) -> Dynamics:
-        """The equations of motion as a value for an optimal control problem."""
+        """The equations of motion, for an optimal control problem."""
         return Dynamics(self.base)
 
     # ------------------------------------------------------------------ symbolic

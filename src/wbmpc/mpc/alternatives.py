@@ -79,12 +79,13 @@ class _Way(NamedTuple):
 
 
 class Alternatives:
-    """Tries other ways for ``mpc`` of ``robot``, whose base moves and can turn in place, when its references, kept by ``pace``, wait for it.
+    """Searches for alternative paths while the references of ``mpc``, which ``pace`` holds back, wait for ``robot``. Its base must be able
+    to move and to turn in place.
 
-    Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: how many searches in a row found nothing
-    while the references waited for something that stands; ``searches``: how many have ended; ``taken``: times [s] and names of the
-    winners; ``computation`` [s]: of all of it. While the robot goes another way, its base has a weight in the cost "state".
-    ``reshaping``: what changes the base's shape on the way (:meth:`wbmpc.bases.base.BaseType.reshaping`; None: nothing does). Raises
+    Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: number of consecutive searches without a
+    result while a static obstacle held up the references; ``searches``: number of finished searches; ``taken``: times [s] and names of the
+    paths that were taken; ``computation`` [s]: time of all searches. During a detour the base has a weight in the cost "state".
+    ``reshaping``: changes the base's shape on the way (:meth:`wbmpc.bases.base.BaseType.reshaping`; None: its shape stays). Raises
     :class:`InputError` for an MPC without obstacles or with progress along a path, and a base that does not move or balances.
     """
 
@@ -114,7 +115,7 @@ class Alternatives:
         return bool(self._ways)
 
     def advance(self, t: float) -> None:
-        """At ``t`` [s]: notice that the robot waits, or go on with a search by one solve."""
+        """At ``t`` [s]: start a search if the references wait, or continue the present one by one solve."""
         t, began = absolute_time("alternatives", t), time.perf_counter()
         if self._pace.time >= self._until > -np.inf:
             self._until = -np.inf

@@ -10,11 +10,11 @@ from wbmpc.types import Observation
 
 
 class FilterMemory:
-    """Filter states of a frequency-aware problem (:func:`wbmpc.ocp.frequency_aware`), kept in step with what acts.
+    """Filter states of a frequency-aware problem (:func:`wbmpc.ocp.frequency_aware`), kept consistent with the applied input.
 
     ``u`` (nu): the input that acts at the start, for which the filters are at rest: no transient. At every tick
-    :meth:`input` turns the policy's ν into u; after it :meth:`advance` with the u that was applied. The filters follow the input
-    that really acts, so a clamp does not wind them up. ``dynamics``: the problem's; ``states`` (k): of the filters.
+    :meth:`input` turns the policy's ν into u; after it :meth:`advance` with the u that was applied. The filters follow the applied input,
+    so that clamping causes no windup. ``dynamics``: the problem's; ``states`` (k): of the filters.
     """
 
     def __init__(self, dynamics: FrequencyShaping, u: np.ndarray) -> None:
@@ -41,7 +41,7 @@ class FilterMemory:
         self.states = self.dynamics.advance(self.states, np.asarray(u, float), h)
 
     def copy(self) -> FilterMemory:
-        """One that goes its own way, for predictions."""
+        """An independent copy, for predictions."""
         other = FilterMemory.__new__(FilterMemory)
         other.dynamics, other.states = self.dynamics, self.states.copy()
         return other

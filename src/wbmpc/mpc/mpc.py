@@ -36,19 +36,19 @@ _USABLE = 1
 
 
 class MPC(Described):
-    """One problem solved again and again from the shifted last solution.
+    """Receding-horizon control: solves one problem repeatedly, starting from the shifted last solution.
 
-    ``ocp``: the problem. ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); one iteration when left out. ``rate`` [Hz] is
-    checked by the loop. ``first_iterations``: calls of the solver for the first plan, each with the iterations that ``solver`` has.
+    ``ocp``: the problem. ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); default: one iteration. ``rate``
+    [Hz] of updates. ``first_iterations``: number of solver calls for the first plan, each with the iterations of ``solver``.
     ``guess``: see :class:`Guess`. ``plan_only_limits``: hard rows of the inputs alone that are not linear (|u|² ≤ r², a box around a
-    nonlinear function of a reference) are allowed, though only plans hold them: a policy's feedback cannot be held to them, and
-    is to be cut by its user. ``obstacles``: what the problem's :class:`wbmpc.residuals.Clearance` keeps clear of; they may change between
-    any two updates. A solve that fails keeps the last policy; where the next one starts, :meth:`recover` says. A plan that would come
-    much too near to an obstacle while the robot can still stop gives way to one that stops (docs/how-to/obstacles.md).
+    nonlinear function of a reference) are allowed although only plans satisfy them: the feedback of a policy may violate them, and the user
+    has to limit it. ``obstacles`` for the problem's :class:`wbmpc.residuals.Clearance`; they may change between any two updates. After a
+    failed solve the last policy stays, and the next solve starts as :meth:`recover` describes. A plan that would come much too close to an
+    obstacle within the stopping time is replaced by one that stops (docs/how-to/obstacles.md).
 
     To read: ``reference`` by the name of its term (to set, too); ``path``: progress along a path; ``limits``: bounds and straight hard
-    rows of the inputs, which all policies hold; ``statistics`` of all solves; ``fault``: why the last update gave no plan, ``""``
-    when it did; ``events_without_node``: how many events within the last horizon got no node of their own.
+    rows of the inputs, which all policies hold; ``statistics`` of all solves; ``fault``: why the last update produced no plan, or ``""``;
+    ``events_without_node``: number of events within the last horizon without a node of their own.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class MPC(Described):
 
     @property
     def obstacles(self) -> Obstacles | None:
-        """What plans keep clear of; None: nothing."""
+        """The obstacles that plans avoid; None: there are none."""
         return self._clear.obstacles
 
     @property
@@ -137,9 +137,8 @@ class MPC(Described):
         return 1.0 / self.rate
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
-        """Modes over absolute time.
-
-        Raises :class:`InputError`, and keeps the schedule that was there, if the grid follows events (``align_events``) and any
+        """Set the modes over absolute time. Raises :class:`InputError`, and keeps the previous schedule, if the grid follows events
+        (``align_events``) and any
         horizon to come has more of them than inner nodes; or if it does not, the state jumps at events, and two to come are
         closer together than the longest interval: plans would apply one jump for both.
         """
@@ -194,7 +193,7 @@ class MPC(Described):
 
     @property
     def limit_violation(self) -> float:
-        """By how much the last plan's states are outside hard limits: see :attr:`Solver.limit_violation`."""
+        """How far the states of the last plan are outside hard limits: see :attr:`Solver.limit_violation`."""
         return self.solver.limit_violation
 
     def limit_violation_message(self) -> str:
@@ -217,7 +216,7 @@ class MPC(Described):
         return self._clear.last
 
     def evades(self, times: np.ndarray, states: np.ndarray) -> bool:
-        """Whether states (n, nx of the problem) at ``times`` (n) [s] keep clear of the obstacles that move, as those of the last update are."""
+        """Whether states (n, nx of the problem) at ``times`` (n) [s] avoid the moving obstacles, as known at the last update."""
         return self._clear.evades(times, states)
 
     @property
@@ -234,9 +233,8 @@ class MPC(Described):
         return {"solve_time": self.solve_time, "iterations": float(self._iterations), **found}
 
     def advance(self, observation: Observation) -> bool:
-        """Solve in the solver's memory, without a copy: whether what stands there is a plan from ``observation.t`` on.
-
-        If not: ``fault`` says why; :meth:`recover` from the last good plan.
+        """Solve in the solver's memory, without copying the result. Returns whether it is a valid plan from ``observation.t`` on; if not,
+        ``fault`` holds the reason, and :meth:`recover` goes back to the last good plan.
         """
         return self.solver.exclusive.once("MPC.update", self._advance, observation)
 
@@ -349,8 +347,9 @@ class MPC(Described):
     def recover(self, observation: Observation, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """After a pass without a plan: the next one starts from the last good plan, x (N + 1, nx), u (N, nu) from ``t`` [s] on.
 
-        An iterate that only misses an equality, as after a change of mode, goes on: more iterations are what it needs. So does one
-        that misses a hard limit, from the fourth pass without a plan in a row on; it is not used as long as it does.
+        An iterate that only violates an equality, as after a change of mode, is kept, because it needs more iterations. From the fourth
+        consecutive pass without a plan on, one that violates a hard limit is kept too; it is not used as a plan until it satisfies the
+        limit.
         A plan from which two passes in a row ended with numbers that are not finite is discarded: the next one starts from
         the observation.
         """

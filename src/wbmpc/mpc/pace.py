@@ -27,11 +27,10 @@ WAITS, STANDS = 0.1, 0.02
 
 
 class PacedReferences:
-    """The present references ``names`` of an MPC on a time scale of their own: ``time`` [s], which is the clock's at
-    ``start`` [s] and goes on at ``rate`` (0 to 1) times the clock. ``detoured`` [s]: by how much detours have made them longer.
-
-    A robot that evades something or waits would leave its reference far behind, and a far reference pulls it through what it evades. The
-    rate falls with the end effector's distance from its reference, and with what the last plan lacks of its clearances.
+    """Lets the references ``names`` of an MPC wait for the robot: their own ``time`` [s] equals the clock at ``start`` [s] and runs at
+    ``rate`` (0 to 1) times the clock. ``detoured`` [s]: how much longer detours have made them. A robot that evades an obstacle or waits
+    falls behind its reference, and a distant reference would pull it through the obstacle. The rate falls with the distance of the end
+    effector from its reference, and with the clearance that the last plan lacks.
     """
 
     def __init__(self, mpc: MPC, names: Sequence[str] = ("end_effector", "state"), start: float = 0.0) -> None:
@@ -51,7 +50,7 @@ class PacedReferences:
 
     @property
     def waits(self) -> bool:
-        """Whether the references hardly go on, before their end."""
+        """Whether the references have almost stopped before their end."""
         return self.rate < WAITS and self.time < float(self._path.times[-1])
 
     @property
@@ -60,7 +59,7 @@ class PacedReferences:
         return float(self._path.times[-1])
 
     def waits_for(self, t: float) -> str:
-        """The obstacle that the last plan is nearest to, if it moves at ``t`` [s]: who waits for it goes on by and by. Empty: it stands."""
+        """Name of the obstacle nearest to the last plan, if it moves at ``t`` [s]: waiting for it ends by itself. Empty if it is static."""
         world, name = self._mpc.obstacles, self._mpc.clearance.other
         if world is None or not name:
             return ""
@@ -71,12 +70,12 @@ class PacedReferences:
         return self._path.at(time)
 
     def running(self, t: float) -> dict[str, Reference]:
-        """The references from ``t`` [s] on as they would be if nothing made them wait any more."""
+        """The references from ``t`` [s] on if they did not have to wait again."""
         return {n: Reference(r.times - self.time + t, r.values, r.kind) for n, r in self._whole.items()}
 
     def detour(self, ways: Mapping[str, Reference], rejoin: float) -> None:
-        """From now on take other ways, whose times [s] count from now, to where the references are at ``rejoin`` [s] of their own time, and
-        go on from there. The rate of time is 1."""
+        """Follow the paths ``ways``, whose times [s] count from now, to the point of the references at ``rejoin`` [s] of their own time,
+        and continue there. The rate of time is 1."""
         before = self.end
         for name, way in ways.items():
             times, values = self.time + way.times, way.values

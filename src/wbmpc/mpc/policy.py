@@ -80,13 +80,14 @@ class Policy:
 
     ``limit_violation``: by how much planned states, from node 1 on, are outside hard limits as a share of the range; 0 up to 0.1 %.
     ``limits``: what the problem gives the inputs alone by straight hard constraints, bounds and rows of several (None: nothing).
-    After a push the feedback asks for more than the plan, which knows nothing of it yet. ``active`` (N, r): which of the rows
+    After a push the feedback may exceed the limits, because the plan does not include the push yet. ``active`` (N, r): which of the rows
     count in each interval's mode. ``moving`` (N, 2, r): their offsets at each interval's beginning and end, where references or
     parameters move them (None: nowhere); in between they are linear, and nowhere larger than a reference that bends or jumps there
     allows. A reference that moves within one interval by more than its limits are wide leaves no input for the whole interval: there
     the upper limits hold alone. Other hard rows (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold
     in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
-    ``clearance``: what of the plan is nearest to an obstacle, or to another part of the robot, for its margin (None: no such rows).
+    ``clearance``: the pair of the plan with the largest margin violation, robot and obstacle or two parts of the robot (None: no such
+    rows).
     """
 
     times: np.ndarray
@@ -170,7 +171,7 @@ class Policy:
         return (1.0 - a) * self.x[k] + a * self.x[k + 1], self.u[k].copy()
 
     def law(self, t: float, x: np.ndarray) -> np.ndarray:
-        """Input (nu) at time t [s] that feedback asks for in the state x (nx), limits or not: for who cuts it in another way.
+        """Input (nu) at time t [s] by feedback in the state x (nx), without limits: for a caller that limits it in another way.
 
         Raises :class:`InputError` for another shape, :class:`NotFinite` for a time or a state that is not finite, or so large that the
         input is not.

@@ -8,8 +8,8 @@ from wbmpc.mpc.policy import Policy
 
 
 class PolicyQueue:
-    """A queue of policies with the time at which each becomes active (several when computing takes long). ``current``: the one
-    active; None before the first."""
+    """Policies and the times at which each becomes active (several when computing takes long). ``current``: the active policy; None before
+    the first."""
 
     def __init__(self) -> None:
         self.current: Policy | None = None

@@ -113,7 +113,8 @@ def follow_route(
     mpc: MPC, robot: RobotModel, poses: ArrayLike, start: float = 0.0, *, speed: float = 0.3, turn_speed: float = 0.6,
     ramp: float = 1.0,
 ) -> float:  # fmt: skip
-    """Let ``mpc`` follow a route of the base from ``start`` [s] on, and carry the end effector along as at home; when it ends [s].
+    """Let ``mpc`` follow a route of the base from ``start`` [s] on, with the end effector at its home pose on the base. Returns the time
+    [s] at which the route ends.
 
     ``poses`` (n, 3): x, y [m], yaw [rad] in the world of :meth:`wbmpc.model.robot.RobotModel.pose`, the first one where the robot is: of
     :func:`wbmpc.plan_route`, of Nav2, of any other planner. ``speed`` [m/s] and ``turn_speed`` [rad/s]: of the base; ``ramp`` [s]: over

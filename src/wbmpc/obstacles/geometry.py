@@ -22,8 +22,8 @@ from wbmpc.obstacles.solids import Solid
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.collision import ShapeDescription
 from wbmpc.robots.description import RobotDescription
-from wbmpc.robots.inertia import mend_inertias
-from wbmpc.robots.limited_program import make_light
+from wbmpc.robots.inertia import replace_inertias
+from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import file_of, parse
 
 Array = NDArray[np.float64]
@@ -197,10 +197,10 @@ def _by_hand(shape: ShapeDescription) -> Solid:
 def _raw_model(description: RobotDescription) -> mujoco.MjModel:
     """The file with the shapes that collide, as its author drew it."""
     spec = parse(file_of(description), collision=True)
-    make_light(spec)
+    strip_actuators_and_options(spec)
     for element in [*spec.sensors, *spec.keys]:  # what they refer to may be gone
         spec.delete(element)
-    mend_inertias(spec, balance=True)
+    replace_inertias(spec, balance=True)
     spec.compiler.fusestatic = False
     return compiled(spec, description.model)
 

@@ -61,7 +61,7 @@ def read_scene(path: str | Path, simulated: bool = False) -> Iterator[SceneObsta
             raise InputError(f"{path}: key 'obstacles': a name that can be printed is needed, got {name!r:.80}")
         where = f"{path}: key 'obstacles.{name}'"
         if names.count(str(name)) > 1:  # 1 and "1" are two keys
-            raise InputError(f"{where}: is there twice")
+            raise InputError(f"{where}: appears twice")
         if not isinstance(entry, Mapping):
             raise InputError(f"{where}: a mapping with a shape is needed, got {entry!r:.80}")
         if has_truths(entry):  # NumPy takes them for 1 and 0

@@ -123,8 +123,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class HalfSpace:
-    """Everything on the other side of a plane: points p with ``normal`` · p < ``offset`` [m]; ``normal`` (3), a unit vector, points to where
-    it is free."""
+    """The solid side of a plane: points p with ``normal`` · p < ``offset`` [m]; the unit vector ``normal`` (3) points to the free side."""
 
     normal: ArrayLike
     offset: float = 0.0
@@ -166,9 +165,8 @@ class ConvexMesh:
 @dataclass(frozen=True, eq=False)
 class DistanceGrid:
     """Distances to everything that is solid: ``values`` (nx, ny, nz) [m] at ``origin`` (3) [m] + ``cell`` [m] · (i, j, k), negative inside;
-    linear in between, and nothing is known outside.
-
-    ``error`` [m]: what is taken off the values; left out, half a cell's diagonal, which a transform of occupied cells may be too large by.
+    linear in between; outside of the grid nothing is known. ``error`` [m]: subtracted from the values; default: half a cell's diagonal, the
+    largest error of a transform of occupied cells.
     ``layer`` [m]: distance of cells along z where it is another one, as of a floor plan that is the same at all heights.
     """
 

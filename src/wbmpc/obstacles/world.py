@@ -112,8 +112,8 @@ class Obstacles:
 
         ``shape`` stands at ``position`` (3) [m] and ``orientation`` (4, w, x, y, z) of ``frame`` at time ``seen`` [s] (left out: when the
         next solve begins), and goes on with ``velocity`` (3) [m/s]. Margins grow by twice the standard deviation of where it is
-        predicted: ``std`` [m], and ``velocity_std`` [m/s] times the time since. It is gone ``expire`` [s] after ``seen``. Later than
-        ``max_age`` [s] after it there are no plans any more, but a stop: for what sensors have to see again and again. Raises
+        predicted: ``std`` [m], and ``velocity_std`` [m/s] times the time since. It is removed ``expire`` [s] after ``seen``. If it is not
+        set again within ``max_age`` [s], plans end in a stop: use it for obstacles that sensors must keep seeing. Raises
         :class:`InputError` naming the obstacle.
         """
         who = _named(name)
@@ -166,7 +166,7 @@ class Obstacles:
             )  # fmt: skip
 
     def set_frame(self, name: str, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
-        """Where the axes of ``frame=name`` are in the world: ``position`` (3) [m] and ``orientation`` (4)."""
+        """Set the pose of the frame ``name`` in the world: ``position`` (3) [m] and ``orientation`` (4)."""
         who = f"frame '{name}'"
         if not isinstance(name, str) or name == WORLD:
             raise InputError(f"{who}: another name than '{WORLD}' is needed")
@@ -179,7 +179,7 @@ class Obstacles:
             self._frames[name] = pose
 
     def load(self, path: str | Path) -> None:
-        """Set the obstacles of a YAML file (:func:`wbmpc.obstacles.scene.read_scene`); nothing of a file with a mistake. Raises
+        """Set the obstacles of a YAML file (:func:`wbmpc.obstacles.scene.read_scene`); a file with a mistake changes nothing. Raises
         :class:`InputError` naming file, obstacle and key."""
         scene, trial = list(read_scene(path)), Obstacles()
         with self._lock:
@@ -218,13 +218,13 @@ class Obstacles:
             return len(self._obstacles)
 
     def take(self, snapshot: Snapshot) -> None:
-        """Have what a snapshot has and nothing else, for good: nothing of it expires, for who looks far ahead."""
+        """Replace all obstacles by those of a snapshot; they do not expire. For predictions over a long time."""
         with self._lock:
             self._obstacles = {o.name: replace(o, expire=np.inf, max_age=np.inf) for o in snapshot.obstacles}
             self._frames = dict(snapshot.frames)
 
     def snapshot(self, t: float) -> Snapshot:
-        """What is there at time ``t`` [s]. Obstacles without a time are seen now; expired ones are dropped for good. Raises
+        """The obstacles at time ``t`` [s]. Obstacles without a time count as seen now; expired ones are removed. Raises
         :class:`InputError` for what is no time, and :class:`~wbmpc.errors.SensorFailure` where one is older than its ``max_age``."""
         t = checks.absolute_time("obstacles", t)
         with self._lock:

@@ -22,8 +22,8 @@ ROUNDED = 0.01
 class Rolling:
     """Rolling (n) and side-slip (n) velocity of the wheels' contact points [m/s]; zero when they roll.
 
-    ``allow_side_slip``: the reference (n) says which wheels may slip sideways (1) while they turn about under a base that goes
-    on, and which may not (0). ``groups``: "rolling" and "side". Raises :class:`InputError` for a base without wheels that a constraint makes roll.
+    ``allow_side_slip``: the reference (n) says which wheels may slip sideways (1), while they reverse under a moving base, and which may
+    not (0). ``groups``: "rolling" and "side". Raises :class:`InputError` for a base without wheels that a constraint makes roll.
     """
 
     robot: RobotModel
@@ -135,8 +135,8 @@ class SupportMargin:
 
 @dataclass(frozen=True)
 class WheelLoads:
-    """Loads of the feet over their mean at rest (the weight of the robot alone, over the number of feet): 1 is the mean, 0 a wheel that
-    lifts. They share the load as equal springs under a stiff body do. Reference, ``gravity`` and ``dynamics``: see
+    """Loads of the feet relative to their mean at rest (the robot's weight without payload, over the number of feet): 1 is the mean, 0 a
+    wheel that lifts. Feet share the load like equal springs under a rigid body. Reference, ``gravity`` and ``dynamics``: see
     :class:`SupportMargin`; with ``payload`` the reference ends with it. ``groups``: one row for each foot.
 
     Raises :class:`InputError` for a base whose feet do not share the load in this way.
@@ -180,7 +180,7 @@ class WheelLoads:
 
 @dataclass(frozen=True)
 class TireFriction(WheelLoads):
-    """How much more each wheel could push along the ground before it slides, μ N − ``|t|``, over the mean load at rest: ≥ 0 where tires hold.
+    """Friction reserve of each wheel, μ N − ``|t|``, relative to the mean load at rest: ≥ 0 where tires do not slide.
 
     Loads N are those of :class:`WheelLoads`, forces t those of :meth:`wbmpc.stability.Support.foot_forces`: tires push in any direction
     (rollers do not). Reference: as there, and then the coefficient of friction μ.

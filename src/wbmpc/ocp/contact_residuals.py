@@ -43,10 +43,10 @@ def push_on_surface(force: ca.SX, normal: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class FrictionCone:
-    """An end effector that can only push, and not slide: rows [N] that are to be at least zero.
+    """Contact force of an end effector that pushes and does not slide: rows [N], all to be at least zero.
 
     Reference: the unit normal n (3) of an upright surface, into it, and the friction coefficient μ, which may be estimated on-line. With
-    the robot's push F = −(force of the world on it): ``push``: nᵀF − ``min_push`` [N]; ``cone``: a pyramid inside the cone,
+    the robot's push F = −(force of the world on it): ``push``: nᵀF − ``min_push`` [N]; ``cone``: a pyramid inside the friction cone,
     μ nᵀF/√2 ± F along two tangents. ``group`` of the input that is the force of the world.
     """
 

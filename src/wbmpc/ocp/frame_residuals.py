@@ -75,8 +75,8 @@ class FrameTwist:
 class RelativePose:
     """Pose of the frame ``other`` in the axes of ``frame``, against its reference: position (3) [m], orientation (3) [rad].
 
-    Reference: position (3) and quaternion (4). As a cost: two end effectors hold one thing. Raises :class:`InputError` for frames that are
-    one, or not there.
+    Reference: position (3) and quaternion (4). As a cost: two end effectors hold one object. Raises :class:`InputError` for unknown or
+    equal frames.
     """
 
     robot: RobotModel
@@ -106,7 +106,8 @@ class RelativePose:
 
 @dataclass(frozen=True)
 class RelativeMotion(RelativePose):
-    """How fast that pose changes, plus ``rate`` [1/s] times its error: linear (3) [m/s], angular (3) [rad/s].
+    """Rate of change of the relative pose (:class:`RelativePose`), plus ``rate`` [1/s] times its error: linear (3) [m/s], angular (3)
+    [rad/s].
 
     As an equality constraint the two frames stay as the reference has them, and an error decays by ``rate``. Its rows are of inputs,
     unlike those of :class:`RelativePose`, which no input changes at once.
@@ -124,7 +125,7 @@ class RelativeMotion(RelativePose):
 
 @dataclass(frozen=True)
 class FrameWrench:
-    """What the world does to the robot at a frame, world axes, minus its reference: force (3) [N] and, for a robot loaded
+    """External wrench on the robot at a frame, world axes, minus its reference: force (3) [N] and, for a robot loaded
     with ``contact="wrench"``, moment (3) [N m] about the frame's origin.
 
     The frame is one of the robot's contact frames. ``groups``: "force" and "moment" as far as there are.

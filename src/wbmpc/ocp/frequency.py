@@ -47,7 +47,7 @@ def frequency_aware(
     filters: Mapping[str, InputFilter | Sequence[InputFilter]],
     costs: Sequence[str] | None = None,
 ) -> OptimalControlProblem:
-    """The same problem with inputs that cost by their frequency; ``ocp`` is left as it is.
+    """The same problem with frequency-dependent costs of inputs; ``ocp`` is not changed.
 
     ``filters`` by input group, one for all its entries or one for each: zero and pole [rad/s] and gain of ν / u. ``costs``: names
     of the cost terms that weigh ν in the place of u; left out: all that depend on a filtered input. Constraints and the other

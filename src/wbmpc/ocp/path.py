@@ -31,8 +31,8 @@ class Path:
     """A cubic spline (C²) through ``points`` (n, 3) [m] in the world, n ≥ 2, parametrized by its arc length s from 0 to ``length`` [m].
 
     ``quaternions`` (n, 4), or one (4,) for all, orient the end effector (left out: not turned); in between they are interpolated as
-    smoothly. ``periodic``: it goes on from the last point to the first, and round without an end: s counts on. Arc lengths before the
-    start and after the end of another path are taken as those. Raises :class:`InputError` for other shapes, points that repeat and
+    smoothly. ``periodic``: closed, from the last point back to the first; s keeps growing with every round. On an open path, arc lengths
+    beyond its ends are clamped. Raises :class:`InputError` for other shapes, points that repeat and
     numbers that are not finite.
     """
 
@@ -87,7 +87,7 @@ class Path:
 
     @classmethod
     def line(cls, start: ArrayLike, end: ArrayLike, quaternion: ArrayLike | None = None) -> Path:
-        """Straight from ``start`` (3) to ``end`` (3) [m], with one ``quaternion`` (4) all the way (left out: not turned)."""
+        """A straight line from ``start`` (3) to ``end`` (3) [m], with a constant ``quaternion`` (4) (default: the identity)."""
         return cls([real_numbers("path, start", start), real_numbers("path, end", end)], quaternion)
 
     @classmethod
@@ -98,8 +98,8 @@ class Path:
         normal: ArrayLike = (0.0, 0.0, 1.0),
         quaternion: ArrayLike | None = None,
     ) -> Path:
-        """Round and round ``center`` (3) [m] from ``start`` (3) on, to the left seen from the tip of ``normal`` (3), with
-        one ``quaternion`` (4) all the way (left out: not turned)."""
+        """A closed circle about ``center`` (3) [m] from ``start`` (3) on, counterclockwise seen from the tip of ``normal`` (3), with a
+        constant ``quaternion`` (4) (default: the identity)."""
         middle, axis = real_numbers("path, center", center), real_numbers("path, normal", normal)
         arm, size = real_numbers("path, start", start) - middle, float(np.linalg.norm(axis))
         if size < LEAST or abs(axis @ arm) > 1e-6 * size * np.linalg.norm(arm) or np.linalg.norm(arm) < LEAST:
@@ -112,7 +112,7 @@ class Path:
     def polyline(
         cls, points: ArrayLike, quaternions: ArrayLike | None = None, blend: float = 0.01, *, periodic: bool = False
     ) -> Path:
-        """Straight from point (n, 3) to point, with corners that are rounded from ``blend`` [m] before them to as far behind."""
+        """Straight lines through points (n, 3) [m]; each corner is rounded from ``blend`` [m] before it to ``blend`` after it."""
         points = np.atleast_2d(real_numbers("path, points", points))
         turns = np.broadcast_to(
             [1.0, 0.0, 0.0, 0.0] if quaternions is None else np.asarray(quaternions, float), (len(points), 4)
@@ -132,7 +132,7 @@ class Path:
 
     @property
     def end(self) -> float:
-        """Where progress ends [m]: at the length, or (periodic) so far away that it does not matter."""
+        """Largest progress [m]: the length, or practically infinite for a periodic path."""
         return ENDLESS if self.periodic else self.length
 
     # ------------------------------------------------------------------ at arc lengths
@@ -152,7 +152,7 @@ class Path:
         return np.asarray(self._position(self._inside(s), 2))
 
     def turning(self, s: ArrayLike) -> Array:
-        """Rotation per way (n, 3) [rad/m], world axes, at arc lengths s (n) [m]."""
+        """Rotation per arc length (n, 3) [rad/m], world axes, at arc lengths s (n) [m]."""
         s = self._inside(s)
         turn, rate = self._turn(s), self._turn(s, 1)
         size = np.linalg.norm(turn, axis=1, keepdims=True)

@@ -36,7 +36,7 @@ def _path_state(dynamics: Any) -> slice:
 
 @dataclass(frozen=True)
 class Contour:
-    """How far a frame is from where the progress s of ``dynamics`` (:class:`wbmpc.WithPath`) is on the path.
+    """Error of a frame from the point of the path at the progress s of ``dynamics`` (:class:`wbmpc.WithPath`).
 
     ``contour`` (3) [m]: across the path, world axes; ``lag`` (1) [m]: along it, negative behind; ``orientation`` (3) [rad]: world
     ``axes``, or those of the path's. ``frame``: of the end effector, of the base's body, any. Reference: an expansion of the path

@@ -11,7 +11,7 @@ import casadi as ca
 
 @dataclass(frozen=True)
 class Symbols:
-    """What a residual may use: the robot's state x and input u, the model's parameters and mode values, its reference.
+    """The symbols that a residual may use: the robot's state x and input u, the model's parameters and mode values, its reference.
 
     ``all_x`` and ``all_u`` are those of the problem, which may have more states and other inputs than the robot
     (:class:`wbmpc.model.augment.InputRate`, :class:`wbmpc.model.augment.DriveLag`).

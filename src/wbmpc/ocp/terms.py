@@ -38,7 +38,7 @@ def _check_residual(name: str, residual: Any) -> None:
 class Cost:
     """``weight · norm(residual)``, integrated along the path or taken at the end of the horizon.
 
-    ``name``: one that the problem does not have yet. ``residual`` r (rows) with its ``norm``; ``at``: which of the two, or both.
+    ``name``: unique in the problem. ``residual`` r (rows) with its ``norm``; ``at``: "path", "terminal", or "path+terminal".
     ``weight``: one number, one per row, or by the residual's groups, per squared unit of r (and second, along the path).
     ``terminal_weight``: the same for the end (for
     ``at="path+terminal"``; the path's weight when left out; its unit is that of the path's weight times a second).
@@ -71,10 +71,10 @@ class Cost:
 
 @dataclass(frozen=True)
 class Constraint:
-    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``), in ``modes`` (names; all when left out).
-    Messages and logs call it by its ``name``.
+    """``residual ∈ set``, at the path's nodes, at the end of the horizon, or both (``at``), in ``modes`` (names; default: all). Messages
+    and logs refer to it by ``name``.
 
-    ``name``: one that the problem does not have yet. ``modes``: the names of the modes in which it holds; all when left out.
+    ``name``: unique in the problem. ``modes``: the names of the modes in which it holds; default: all.
 
     Equalities (``Zero``): rows of state and input enter the Riccati recursion exactly; ``softness`` (one number for all
     rows) softens them: the residual may be softness times its multiplier. Rows of the state alone, and rows at the end,

@@ -65,7 +65,7 @@ class Table:
 class Recording:
     """A whole file at ``path``: ``topics`` by name; ``metadata``: tables of texts by name, of the run, its versions and its result.
     ``complete``: whether the run closed it; else it was killed and the last moments are missing.
-    ``damage``: what of it could not be read though it is there, or is not what was written; clauses.
+    ``damage``: clauses that name parts that are unreadable or altered.
 
     ``path``: of the file; ``topics``: by name; ``metadata``: texts by key of each record, "run" and "result" of a run.
     ``attachments``: for each name the time [s] from which it holds, and its bytes.
@@ -95,7 +95,7 @@ class Recording:
 
     @property
     def earlier(self) -> str:
-        """Where the messages before the first one are, a clause; empty if the run begins with it."""
+        """A clause that says where the messages before this file's first one are; empty if it has the start of the run."""
         if "continues" not in self.metadata:
             return ""
         older = older_part(self.path)
@@ -125,7 +125,7 @@ class Recording:
 
     @property
     def scenes(self) -> list[tuple[float, Any]]:
-        """From when on [s] the world looked how; empty if the file was written by another program."""
+        """The scenes with the times [s] from which they hold; empty if another program wrote the file."""
         found = [(t, self.attachment(name)) for name, (t, _) in self.attachments.items() if name.startswith("scene")]
         return sorted(found, key=lambda pair: pair[0])
 

@@ -1,4 +1,4 @@
-"""Writes what a run does into an MCAP file, while it does it.
+"""Records a run in an MCAP file while it runs.
 
 Frames are those of :mod:`wbmpc.recording.observer`. Joints, forces and links are those of the simulation; what the sensors
 said is under ``/measured``.
@@ -40,11 +40,11 @@ NOWHERE, _ROS_ORDER = np.array([0.0, 0, 0, 1, 0, 0, 0]), np.array([0, 1, 2, 4, 5
 
 
 class Recorder:
-    """A :class:`~wbmpc.simulation.lockstep.Watcher` that writes ``path``. The file comes into being when the loop begins.
+    """A :class:`~wbmpc.simulation.lockstep.Watcher` that writes ``path``. The file is created when the loop begins.
 
     ``about``: tables of texts by name, written as metadata (what ran, settings, versions). ``limit``: see :class:`McapFile`.
-    Where the file cannot be written any more (a full disk) recording ends, ``failure`` says why, and the run goes on.
-    ``motion``: what the replay of the run's report shows.
+    If the file can no longer be written (a full disk), recording ends, ``failure`` holds the reason, and the run continues.
+    ``motion``: data of the replay in the report of the run.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Mapping[str, Any]], limit: int = LIMIT) -> None:
@@ -61,18 +61,18 @@ class Recorder:
 
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
-        """Open the file and write all that holds for the whole run."""
+        """Open the file and write what is constant over the run."""
         with self._noted():
             self._begin(running)
 
     @contextmanager
     def _noted(self) -> Iterator[None]:
-        """What the system says of the file, kept: a recording is not worth a run."""
+        """Record an error of the file and end the recording: it must not end the run."""
         try:
             yield
         except OSError as error:
             self.failure = f"{self.path}: cannot be written ({error.strerror}); recording ended at {self._last:.2f} s"
-            _LOG.error("%s; the run goes on", self.failure)
+            _LOG.error("%s; the run continues", self.failure)
             with suppress(OSError):  # what is buffered cannot be written either
                 if self.file is not None:
                     self.file.close()
@@ -106,7 +106,7 @@ class Recorder:
         self._static_links()
 
     def _begin_loop(self, scene: Scene) -> None:
-        """A world that looks otherwise than that of the loop before is attached again, with the time from which it is there."""
+        """Attach the scene again, with its start time, if it differs from that of the previous loop."""
         assert self.file is not None
         if scene != self._scene:
             self._scene, self._scenes = scene, self._scenes + 1
@@ -148,7 +148,7 @@ class Recorder:
                 self._put("/mode", "std_msgs/String", {"data": f"ended: {ending.reason or 'completed'}"}, latched=True)
 
     def close(self, result: Mapping[str, Any]) -> None:
-        """Complete the file; ``result``: what came out, as metadata."""
+        """Complete the file with the ``result`` of the run as metadata."""
         with self._noted():
             if self.file is not None:
                 self.file.metadata("result", result)
@@ -162,11 +162,11 @@ class Recorder:
         self.file.put(topic, kind, self._last, message, latched=latched)
 
     def _fill(self, topic: str, kind: str, key: Any, values: Array, make: Callable[[], Message]) -> None:
-        """A message of this tick, of which only time and float64 change while ``key`` is the same; ``make``: one like it."""
+        """Queue a message of this tick. While ``key`` is the same, only its time and float64 numbers change; ``make`` builds a template."""
         self._due.append((topic, kind, key, values, make))
 
     def _write(self) -> None:
-        """The messages of this tick that are not written yet, as one row: one by one they take as long as all else of a recording."""
+        """Write the pending messages of this tick as one row: writing them one by one would double the time of a recording."""
         if not self._due:
             return
         assert self.file is not None
@@ -221,7 +221,7 @@ class Recorder:
             self._pose("/end_effector/reference", ODOM, goal)
 
     def _odometry_message(self, pose: Array) -> None:
-        """The twist is that of the two last estimates, in the base's axes."""
+        """Queue the odometry; its twist is the difference of the last two estimates, in axes of the base."""
         twist = np.zeros(6)
         if self._odometry is not None and self._last > self._odometry[0]:
             moved = lie.pose_between(self._odometry[1], pose)
@@ -247,7 +247,7 @@ class Recorder:
 
     def _static_links(self) -> None:
         bodies, scene = self._observer.see().bodies, self._observer.scene
-        # a base hangs on the odometry's frame, also one that is fixed
+        # the parent of a base is the odometry frame, also if the base is fixed
         fixed = [self._link(bodies, i) for i, b in enumerate(scene.bodies) if not b.moves and i != scene.index]
         points = fixed_frames(self.running.plant.description)
         fixed += [self._transform(point.parent, point.name, point.pose) for point in points]

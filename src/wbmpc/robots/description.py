@@ -31,7 +31,7 @@ from wbmpc.robots.collision import CollisionDescription, check_frames
 from wbmpc.robots.couplings import Coupled, check_couplings, couple, limits_of_leaders
 from wbmpc.robots.description_faults import first_fault, keys, reject_truths
 from wbmpc.robots.fixed_joints import fix_joint
-from wbmpc.robots.inertia import mend_inertias
+from wbmpc.robots.inertia import replace_inertias
 from wbmpc.robots.mechanism import Mechanism, read_mechanism
 from wbmpc.robots.model_checks import AT_LOAD, Subject, examine
 from wbmpc.robots.model_file import ModelFile, file_of, parse
@@ -338,7 +338,7 @@ def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.
 def _parse(description: RobotDescription, file: ModelFile, meshes: bool) -> mujoco.MjSpec:
     spec = parse(file, meshes=meshes)
     if not description.base.uses_inertia:
-        mend_inertias(spec, balance=True)  # else MuJoCo names the body
+        replace_inertias(spec, balance=True)  # else MuJoCo names the body
     return spec
 
 

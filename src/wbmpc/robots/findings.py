@@ -1,4 +1,4 @@
-"""What checks of a robot's file find: one message each, with how to mend it."""
+"""What checks of a robot's file find: one message each, with how to fix it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Severity = Literal["error", "warning", "info"]
 
 @dataclass(frozen=True)
 class Finding:
-    """``check``: name of the check; ``where``: the element of the file; ``text``: what is wrong; ``fix``: how to mend it."""
+    """``check``: name of the check; ``where``: the element of the file; ``text``: what is wrong; ``fix``: how to fix it."""
 
     severity: Severity
     check: str

@@ -1,4 +1,4 @@
-"""Masses and inertias of links that cannot be: found, and replaced for planners that do not use them."""
+"""Finds impossible masses and inertias of links, and replaces them for planners that do not use them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from wbmpc.robots.findings import Finding
 
 #: Mass [kg] of a link that moves and has none.
 LIGHTEST = 1e-3
-#: Density [kg/m³] of the sphere whose inertia stands for one that cannot be.
+#: Density [kg/m³] of the sphere whose inertia replaces an impossible one.
 DENSITY = 1000.0
-#: MuJoCo takes smaller moments [kg m²] for none.
+#: MuJoCo treats smaller moments [kg m²] as zero.
 _SMALLEST = 2e-14
-#: Shares by which moments may miss the inequality of triangles: rounding of exporters.
+#: Relative tolerance of the triangle inequality of the moments: exporters round.
 _ROUNDING = 1e-6
 _FIX = "give its true mass and inertia in the file"
 
@@ -24,22 +24,24 @@ def sphere_inertia(mass: float) -> float:
     return float(0.4 * mass * radius**2)
 
 
-def mend_inertias(spec: mujoco.MjSpec, balance: bool) -> list[Finding]:
+def replace_inertias(spec: mujoco.MjSpec, balance: bool) -> list[Finding]:
     """Replace, in place, inertias that are not positive definite, and those of moving links without mass; one finding for each.
 
-    ``balance``: also those of an MJCF whose moments no body can have (MuJoCo does it for URDFs).
+    ``balance``: let MuJoCo also balance moments of an MJCF that violate the triangle inequality, as it does for URDFs.
     """
     found = []
     for body in spec.bodies[1:]:
-        _forget_nothing(body)
+        _drop_massless_inertial(body)
         if body.explicitinertial and (fault := _fault(body)) is not None:
             _replace(body, float(body.mass) if body.mass > LIGHTEST else LIGHTEST)
-            found.append(Finding("warning", "inertia", f"link '{body.name}'", f"{fault}; a sphere's is taken", _FIX))
+            found.append(
+                Finding("warning", "inertia", f"link '{body.name}'", f"{fault}; that of a sphere is used", _FIX)
+            )
     spec.compiler.balanceinertia = spec.compiler.balanceinertia or balance
     return found + [_give_mass(body) for body in spec.bodies[1:] if body.joints and not _has_mass(body)]
 
 
-def _forget_nothing(body: mujoco.MjsBody) -> None:
+def _drop_massless_inertial(body: mujoco.MjsBody) -> None:
     """An inertial without mass says nothing; MuJoCo would reject its inertia where that is zero too."""
     if body.explicitinertial and body.mass == 0.0 and np.linalg.eigvalsh(inertia_matrix(body))[0] <= _SMALLEST:
         body.explicitinertial, body.fullinertia = False, np.full(6, np.nan)
@@ -62,8 +64,8 @@ def _fault(body: mujoco.MjsBody) -> str | None:
     return None
 
 
-def breaks_triangle(body: mujoco.MjsBody) -> bool:
-    """Whether one moment of inertia is larger than the two others together, as no body's is."""
+def violates_triangle_inequality(body: mujoco.MjsBody) -> bool:
+    """Whether one moment of inertia is larger than the sum of the two others, which is impossible."""
     moments = np.linalg.eigvalsh(inertia_matrix(body))
     return bool(moments[0] + moments[1] < moments[2] * (1.0 - _ROUNDING))
 

@@ -77,7 +77,7 @@ def compile_model(order: dict[str, Any]) -> dict[str, str]:
             else:
                 spec = mujoco.MjSpec.from_file(order["path"])
                 drop_missing_files(spec)
-            make_light(spec)
+            strip_actuators_and_options(spec)
             for element in [*spec.sensors, *spec.keys, *(() if whole else spec.geoms)]:
                 spec.delete(element)
             for body in [] if whole else spec.bodies[1:]:
@@ -114,8 +114,8 @@ def _drop(spec: mujoco.MjSpec, kind: str, asset: object) -> None:
     spec.delete(asset)
 
 
-def make_light(spec: mujoco.MjSpec) -> None:
-    """Before anything is compiled: take out, in place, the memory and options that a file asks for, and its actuators."""
+def strip_actuators_and_options(spec: mujoco.MjSpec) -> None:
+    """Remove, in place, the memory sizes and options that a file requests, and its actuators. Call it before anything is compiled."""
     import mujoco
 
     fresh = mujoco.MjSpec()

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from wbmpc.robots.actuation import Drive, read_drives
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.findings import Finding
-from wbmpc.robots.inertia import breaks_triangle, mend_inertias
-from wbmpc.robots.limited_program import make_light
+from wbmpc.robots.inertia import replace_inertias, violates_triangle_inequality
+from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import ModelFile, parse
 
 Array = NDArray[np.float64]
@@ -23,8 +23,8 @@ _KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "sl
 
 @dataclass(frozen=True)
 class Joint:
-    """A hinge or slide: ``body`` that it moves; ``position`` (3) [m] and unit ``axis`` (3) in the world at zero; ``range`` [rad or m], None
-    for a continuous joint; ``above``: joints between the world and it."""
+    """A hinge or slide: ``body`` that it moves; ``position`` (3) [m] and unit ``axis`` (3) in the world with all joints at zero; ``range``
+    [rad or m], None for a continuous joint; ``above``: names of the joints between the world and this one."""
 
     name: str
     kind: str
@@ -42,12 +42,12 @@ class Joint:
 
     @property
     def horizontal(self) -> bool:
-        """Whether its axis lies in the ground's plane."""
+        """Whether its axis is parallel to the ground."""
         return bool(abs(self.axis[2]) < 0.05)
 
     @property
     def rest(self) -> float:
-        """0, or the middle of a range that does not have it."""
+        """0 where the range includes it, otherwise the middle of the range [rad or m]."""
         if self.range is None or self.range[0] <= 0.0 <= self.range[1]:
             return 0.0
         return 0.5 * (self.range[0] + self.range[1])
@@ -55,13 +55,13 @@ class Joint:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """``model`` has primitive shapes and no meshes that a body's mass does not need; ``mended``: inertias that were replaced in it, and
-    those that the compiler balanced; ``missing``: files that are not there."""
+    """``model``: only primitive shapes, and the meshes that a body's mass depends on; ``replaced``: findings on inertias that were replaced, or
+    balanced by the compiler; ``missing``: mesh files that do not exist."""
 
     file: ModelFile
     model: mujoco.MjModel
     drives: dict[str, Drive]
-    mended: tuple[Finding, ...]
+    replaced: tuple[Finding, ...]
     missing: tuple[str, ...] = ()
 
     @cached_property
@@ -97,7 +97,7 @@ class Mechanism:
         return (*self.joints_of(int(m.body_parentid[body])), *self._named(same))
 
     def _named(self, joints: range) -> list[str]:
-        """Names of hinges and slides: without free joints."""
+        """Names of those of the joints that are hinges or slides."""
         m = self.model
         return [m.joint(j).name for j in joints if mujoco.mjtJoint(int(m.jnt_type[j])) in _KINDS and m.joint(j).name]
 
@@ -111,15 +111,15 @@ class Mechanism:
         return tuple(found)
 
     def below(self, joint: str) -> list[str]:
-        """Joints that another one moves."""
+        """Names of the joints that ``joint`` moves."""
         return [j.name for j in self.joints.values() if joint in j.above]
 
     def parent(self, body: str) -> str:
-        """The body on which one hangs."""
+        """Name of the parent of a body."""
         return str(self.model.body(int(self.model.body_parentid[self.model.body(body).id])).name)
 
     def path(self, body: str) -> list[str]:
-        """Bodies from the world to one."""
+        """Names of the bodies from the world to ``body``."""
         found, i = [body], self.model.body(body).id
         while i > 0:
             i = int(self.model.body_parentid[i])
@@ -127,14 +127,14 @@ class Mechanism:
         return found
 
     def rigid_with(self, body: str) -> list[str]:
-        """Bodies below one that are fixed to it, itself first."""
+        """Names of the bodies below ``body`` that are fixed to it; ``body`` comes first."""
         i = self.model.body(body).id
         weld = self.model.body_weldid[i]
         inside = [k for k in range(i, self.model.nbody) if self.model.body_weldid[k] == weld and self.is_below(k, i)]
         return [self.model.body(k).name for k in inside]
 
     def is_below(self, body: int, root: int) -> bool:
-        """Whether one body, by its number, is moved along with another one, or is it."""
+        """Whether the body with index ``body`` is ``root`` or a descendant of it."""
         while body > root:
             body = int(self.model.body_parentid[body])
         return body == root
@@ -155,22 +155,22 @@ def read_mechanism(file: ModelFile) -> Mechanism:
     missing: list[str] = []
     spec = parse(file, missing=missing)
     drives = read_drives(file, spec)
-    make_light(spec)
+    strip_actuators_and_options(spec)
     for element in [*spec.sensors, *spec.keys]:  # what they refer to may be gone
         spec.delete(element)
-    odd = [b.name for b in spec.bodies[1:] if b.explicitinertial and breaks_triangle(b)]
-    mended = mend_inertias(spec, balance=True)
-    done = {f.where for f in mended}
-    mended += [_balanced(name) for name in odd if f"link '{name}'" not in done]
+    odd = [b.name for b in spec.bodies[1:] if b.explicitinertial and violates_triangle_inequality(b)]
+    replaced = replace_inertias(spec, balance=True)
+    done = {f.where for f in replaced}
+    replaced += [_balanced(name) for name in odd if f"link '{name}'" not in done]
     for geom in [g for g in spec.geoms if g.type == mujoco.mjtGeom.mjGEOM_MESH and g.parent.explicitinertial]:
         spec.delete(geom)
     spec.compiler.fusestatic = False
-    return Mechanism(file, compiled(spec, file.path), drives, tuple(mended), tuple(missing))
+    return Mechanism(file, compiled(spec, file.path), drives, tuple(replaced), tuple(missing))
 
 
 def _balanced(link: str) -> Finding:
     return Finding(
         "warning", "inertia", f"link '{link}'",
-        "one of its moments of inertia is larger than the two others together, as no body's is; their mean is taken",
+        "one moment of inertia is larger than the sum of the two others, which is impossible; the mean of all three is used",
         "give its true inertia in the file",
     )  # fmt: skip

@@ -98,7 +98,7 @@ def check_inertias(subject: Subject) -> Iterator[Finding]:
     """Masses and inertias that no link can have."""
     needed = subject.description is not None and subject.description.base.uses_inertia
     groups: dict[str, list[Finding]] = {}
-    for finding in subject.mechanism.mended:
+    for finding in subject.mechanism.replaced:
         groups.setdefault(finding.text, []).append(finding)
     for alike in groups.values():
         first, names = alike[0], [f.where.removeprefix("link ").strip("'") for f in alike]
@@ -167,7 +167,11 @@ def check_velocities(subject: Subject) -> Iterator[Finding]:
     if names:
         fix = f"give 'limits.velocity: {{{names[0]}: …}}' [rad/s or m/s] in the robot's YAML"
         yield Finding(
-            "warning", "", _joints(names), "no limit of velocity (missing, or not above 0): a plan may be any fast", fix
+            "warning",
+            "",
+            _joints(names),
+            "no limit of velocity (missing, or not above 0): plans may use any speed",
+            fix,
         )
 
 
@@ -176,7 +180,7 @@ def check_efforts(subject: Subject) -> Iterator[Finding]:
     limits: Mapping[str, float] = {} if subject.description is None else subject.description.limits.effort
     names = [j.name for j in subject.moving if j.drive.no_effort and j.name not in limits]
     if names:
-        fix = f"give 'limits.effort: {{{names[0]}: …}}' [N m or N] in the robot's YAML, or mend the file"
+        fix = f"give 'limits.effort: {{{names[0]}: …}}' [N m or N] in the robot's YAML, or fix the file"
         yield Finding("warning", "", _joints(names), "efforts of 0, or to one side, count for none", fix)
 
 
@@ -345,7 +349,7 @@ def check_levels(subject: Subject) -> Iterator[Finding]:
         high = int(np.argmax(bottoms))
         yield Finding(
             "warning", "", f"wheel '{wheels[high].joint}'", f"it hangs {1e3 * (bottoms[high] - bottoms.min()):.3g} mm above the lowest wheel",
-            "mend its origin or its shape in the file; wheels of one base stand on one level",
+            "fix its origin or its shape in the file; wheels of one base stand on one level",
         )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.robots.checks import compiled
-from wbmpc.robots.limited_program import copy_values, make_light
+from wbmpc.robots.limited_program import copy_values, strip_actuators_and_options
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
@@ -33,7 +33,7 @@ _OF_COMPILER = ("settotalmass", "inertiafromgeom", "boundmass", "boundinertia", 
 def keep_mechanics(spec: mujoco.MjSpec, base: str, path: object) -> None:
     """Leave out, in place, what plants have of their own, and the joints of the body ``base``, which the kind of base moves."""
     fresh = mujoco.MjSpec()
-    make_light(spec)
+    strip_actuators_and_options(spec)
     _fix_masses(spec, fresh, path)
     own = [j for j in spec.joints if j.parent.name == base]
     lists = (spec.sensors, spec.keys, spec.excludes, spec.pairs, spec.tuples, own)

@@ -1,4 +1,4 @@
-"""The runner's time from a bus: what ``/clock`` says, for simulators that are slower or faster than the wall's clock."""
+"""The runner's time from a bus: what ``/clock`` says, for simulators that are slower or faster than the wall clock."""
 
 from __future__ import annotations
 

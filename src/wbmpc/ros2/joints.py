@@ -114,7 +114,7 @@ class JointReader:
             )
         twice = [n for n in self.names if names.count(n) > 1]
         if twice:
-            raise InputError(f"joint states: joint '{twice[0]}' is there twice")
+            raise InputError(f"joint states: joint '{twice[0]}' appears twice")
         return np.array([names.index(n) for n in self.names])
 
     def _check_motion(self, stamp: float, values: np.ndarray) -> None:

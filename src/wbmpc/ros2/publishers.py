@@ -28,7 +28,7 @@ SOON = 0.05
 
 
 class Publishers:
-    """Publishes at the rates of the settings by the wall's clock, from the node's own thread: piece by piece, each in the gap
+    """Publishes at the rates of the settings by the wall clock, from the node's own thread: piece by piece, each in the gap
     between two ticks of the controller, which would wait for the interpreter."""
 
     def __init__(self, node: Node, controller: ControlNode) -> None:

@@ -47,7 +47,7 @@ class BusRobot:
     """See :class:`wbmpc.runtime.stop_control.RobotInterface`. What is wrong with a message stops the robot once it is :meth:`arm`-ed; a robot
     that would fall (``adapter.must_keep_running``) goes on without that message, and ``fault`` says so until the next good one.
 
-    With simulated time a measurement is as old as its stamp. By the wall's clock it is as old as its arrival, if its stamp has
+    With simulated time a measurement is as old as its stamp. By the wall clock it is as old as its arrival, if its stamp has
     moved on (clocks of two machines may differ, and a driver that hangs repeats itself); intervals are those of the stamps.
     ``commanded``: the last command by groups, from which a stop brakes.
     """

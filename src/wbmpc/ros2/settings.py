@@ -201,7 +201,7 @@ class RosSettings(Settings):
     ``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours. ``controllers``: left out, one for each
     of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go out in the order of the legs. ``use_sim_time``: time is
     what ``/clock`` says. ``lockstep``: so it does, and a solve takes the modeled ``mpc.computation_delay`` of that time, however fast the
-    machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]: by the wall's clock, how old joint states are when they come,
+    machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]: by the wall clock, how old joint states are when they come,
     and ``wrench`` (robots that balance).
     """
 

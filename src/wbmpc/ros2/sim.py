@@ -50,7 +50,7 @@ class SimNode:
     In lockstep (as the settings say), after the first commands, a period is simulated only when all commands to its beginning
     have come (``patience`` [s] of the wall: as long as they are waited for), so that nothing depends on the machine's speed; else
     in real time, ``factor`` times as fast. ``behind``: how often it was too slow. Stamps say when the physics was sampled,
-    whenever the message goes out: simulated time, by the wall's clock from its beginning on. A robot that cannot stand by itself
+    whenever the message goes out: simulated time, by the wall clock from its beginning on. A robot that cannot stand by itself
     is held until the first commands come; only its time goes on.
     """
 
@@ -77,7 +77,7 @@ class SimNode:
         self.sim_time = settings.use_sim_time or self.lockstep
         if factor != 1.0 and not self.sim_time:
             raise InputError(
-                "factor: who runs faster or slower than the wall's clock needs simulated time (use_sim_time)"
+                "factor: a simulation that is faster or slower than the wall clock needs simulated time (use_sim_time)"
             )
         self._began = time.time()  # the wall's time at which the simulated one was 0 [s]
         self._groups = self.side.rest()
@@ -218,7 +218,7 @@ class SimNode:
 
     def _pace(self, due: float) -> float:
         """Wait for the next period's wall time; returns the one after it."""
-        # without commands time goes by the wall's clock, so that who begins has time to
+        # without commands time goes by the wall clock, so that who begins has time to
         due += self.period / (min(self.factor, 1.0) if self._silent else self.factor)
         wait = due - time.perf_counter()
         if wait > 0.0:

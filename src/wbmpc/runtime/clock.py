@@ -54,8 +54,8 @@ class Turns:
 class WallClock:
     """The machine's steady clock, the same in all processes.
 
-    Waiting is sleeping up to ``spin`` [s] before the end and then looking at the clock: sleeping alone is late by a timer slack
-    of some 50 µs. ``origin`` [s]: what counts as 0 (when left out: now). ``turns`` of the loop that waits by this clock with the
+    It sleeps until ``spin`` [s] before the end and then polls the clock: sleeping alone is late by a timer slack of some 50 µs. ``origin``
+    [s]: the clock's zero (default: now). ``turns`` of the loop that waits by this clock with the
     other threads (left out: as they are in this process).
     """
 
@@ -82,7 +82,7 @@ class WallClock:
             pass
 
     def computing(self) -> float:
-        """0: solves take their time."""
+        """Modeled duration of a solve [s]: 0, because solves take real time."""
         return 0.0
 
 

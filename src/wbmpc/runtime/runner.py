@@ -369,5 +369,5 @@ class RealTimeRunner(StopControl):
 
     # ------------------------------------------------------------------ figures
     def report(self) -> Report:
-        """What was counted up to now."""
+        """Counts and times up to now."""
         return Report.of(self.state, self.clock.now(), self.own, self.board, self.punctuality)

@@ -7,7 +7,7 @@ from wbmpc.kernel.library import Library
 _STEPS = ("arm_step", "contact_step", "frame_step", "speed_torque_step")
 LIBRARY = Library(
     "simulation",
-    rooms=("simulation", "kernel"),
+    packages=("simulation", "kernel"),
     modules=tuple(f"wbmpc.simulation.{m}" for m in _STEPS),
 )
 step = LIBRARY.step

@@ -38,7 +38,7 @@ class Picture3D:
 def show(
     what: RobotModel | RunResult, states: Solution | Policy | ArrayLike | None = None, times: ArrayLike | None = None
 ) -> Picture3D:
-    """A picture in three dimensions for notebooks: of a run that was recorded, or of a robot.
+    """A 3D picture for notebooks: of a recorded run, or of a robot.
 
     ``states``: of a robot, where it is: a state (nx), by default its home; or states (n, nx) at ``times`` (n,) [s], which it plays
     (left out: one per second); or a :class:`~wbmpc.solver.solution.Solution` or :class:`~wbmpc.mpc.policy.Policy` with its own times.

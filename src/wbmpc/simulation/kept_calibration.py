@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import zlib
 from collections.abc import Callable, Mapping
 from io import BytesIO
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 import wbmpc
+from wbmpc.bases import base_type
 from wbmpc.kernel import cache
 from wbmpc.kernel.codegen_target import target_text
 from wbmpc.model.robot import RobotModel
@@ -42,16 +44,24 @@ def kept(
     return made
 
 
+def plugin_folders(robot: RobotModel) -> set[str]:
+    """Folders with the source of the robot's base type, which may belong to another package."""
+    plugin = type(base_type(robot.description.base.type))
+    folder = Path(inspect.getfile(plugin)).resolve().parent
+    inner = folder.rglob("*.py") if "." in plugin.__module__ else ()
+    return {str(folder), *(str(path.parent) for path in inner)}
+
+
 def _key(robot: RobotModel, settings: BaseModel, seed: int) -> str:
     """Hash of all that a drive depends on: the robot with its meshes, the settings, the seed, sources and versions of the programs."""
     model = load_spec(robot.description, meshes=True).compile()
     bodies = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, bodies)
     package = Path(wbmpc.__file__).parent
-    rooms = tuple(sorted({str(path.parent.relative_to(package)) for path in package.rglob("*.py")}))
+    packages = {str(path.parent.relative_to(package)) for path in package.rglob("*.py")} | plugin_folders(robot)
     digest = hashlib.sha256(bodies.tobytes())
     for text in (
-        robot.description.model_dump_json(), settings.model_dump_json(), str(seed), cache.source_fingerprint(rooms),
+        robot.description.model_dump_json(), settings.model_dump_json(), str(seed), cache.source_fingerprint(tuple(sorted(packages))),
         mujoco.__version__, np.__version__, target_text(),
     ):  # fmt: skip
         digest.update(f"{len(text)} {text}".encode())

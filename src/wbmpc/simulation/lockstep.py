@@ -256,11 +256,10 @@ def run_lockstep(
     progress: Progress | None = None,
     done: Callable[[], bool] | None = None,
 ) -> Ending:
-    """Run for ``duration`` [s], or until ``done()``, which is asked at every tick. What ends a run early (a fall, numbers that are
-    not finite, no plan, Ctrl-C) stops the
-    robot and is returned, not raised; so is whatever else is raised once the robot has been commanded: it would go on with its
-    last command. Before, in the first period, errors (bad settings) are raised. A robot that is stopped early is simulated until it
-    rests: whether it fell is what is seen then.
+    """Run for ``duration`` [s], or until ``done()``, which is asked at every tick. An early end (a fall, numbers that are not finite, no
+    plan, Ctrl-C) stops the robot and is returned, not raised. So is every other exception once the robot has been commanded, because the
+    robot would continue with its last command; in the first period errors (bad settings) are raised. A robot that is stopped early is
+    simulated until it rests, and only then it is decided whether it fell.
 
     ``mpc`` None: for controllers that need no plan. ``record(t, command, plans)`` is called at every tick, with the plant as it is
     before the command acts; then come the watchers of a ``progress`` that is a :class:`Watch`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from wbmpc.kernel.ir import LANES, Floats, Integers, Mask, PointerCall, Vector
 from wbmpc.kernel.library import Library
 
-LIBRARY = Library("driver", rooms=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
+LIBRARY = Library("driver", packages=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
 compiled = LIBRARY.compiled
 call2, call3, call4, call5, call7 = (PointerCall(n) for n in (2, 3, 4, 5, 7))
 

@@ -35,7 +35,7 @@ from wbmpc.solver.termination import DIVERGED, EQUALITY_INFEASIBLE, INPUT_INFEAS
 
 LIBRARY = Library(
     "controller",
-    rooms=("solver", "kernel", "ocp"),
+    packages=("solver", "kernel", "ocp"),
     modules=("wbmpc.solver.controller_data",),
     uses=(compilation.LIBRARY, feedback.LIBRARY),
 )

@@ -16,7 +16,7 @@ from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
 from wbmpc.solver.receding import LINEAR
 
-LIBRARY = Library("policy", rooms=("solver", "kernel", "ocp"))
+LIBRARY = Library("policy", packages=("solver", "kernel", "ocp"))
 compiled = LIBRARY.step
 #: Share of a bound (or of 1, where that is more) beyond which an input counts as cut: the rest is rounding.
 ROUNDING = 1e-9

@@ -57,15 +57,15 @@ class InteriorPoint:
 
     ``mode``: "converge" drives μ from ``initial_barrier`` to ``barrier`` (by default the solver's tolerance times 1e-4,
     and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
-    it at ``barrier``, but where slacks cut steps to nearly nothing, as after a jump of a reference: it then rises until they do not, and
-    falls with the steps that follow. It starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one iteration
+    it at ``barrier``, but where slacks cut steps to nearly nothing, as after a jump of a reference: μ then rises until steps are long
+    again, and falls afterwards. It starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one
+    iteration
     per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
     and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is cut below
     0.9 of the longest that is tried (docs/explanation/solver.md).
-    ``rollout_restart=False``: in real time, a state outside a limit that cuts steps to nearly nothing does not make the iterate a
-    motion from there. For unstable systems, whose motion without feedback runs away within the horizon: a plan of a balancing robot
-    began meters off, and a push of 120 N s felled it instead of 260.
-    ``reset=False``: the slacks too stay those of the last solve (for comparison: docs/results/limits-and-race.md).
+    ``rollout_restart``: in real time, if a state outside a limit cuts steps to almost zero, the iterate is replaced by a roll-out from
+    there. False is for unstable systems, whose motion without feedback diverges within the horizon.
+    ``reset=False``: keep the slacks of the last solve too (for comparison: docs/results/limits-and-race.md).
     """
 
     mode: Literal["converge", "real_time"] = "converge"
@@ -94,7 +94,7 @@ class InteriorPoint:
             )
 
     def numbers(self, tolerance: float) -> dict[str, float]:
-        """What the compiled code needs; ``tolerance``: of the solver's KKT residual."""
+        """The numbers that the compiled code reads; ``tolerance`` of the solver's KKT residual."""
         real_time = self.mode == "real_time"
         # beside a row that is only just active the solution moves by the square root of μ
         mu = self.barrier if self.barrier is not None else (1e-3 if real_time else 1e-4 * tolerance)

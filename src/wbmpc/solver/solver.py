@@ -125,7 +125,7 @@ class Solver(SolverResults):
 
     # ------------------------------------------------------------------ data
     def set_reference(self, name: str, reference: Reference) -> None:
-        """What the term ``name`` compares with from now on."""
+        """Set the reference of the term ``name``."""
         slices = self.problem.references.slices
         if name not in slices:
             if name in self.ocp.terms:
@@ -360,7 +360,7 @@ class Solver(SolverResults):
         return x0
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:
-        """What the last :meth:`run` left in the memory after ``elapsed`` [s], with violations by name and the cause of its failure."""
+        """The solution of the last :meth:`run`, which took ``elapsed`` [s], with violations by name and the cause of a failure."""
         with self.exclusive, Interruptible():
             return diagnose(self, self.solution(status, count, elapsed))
 
@@ -375,7 +375,7 @@ class Solver(SolverResults):
         return _STATUS[code]
 
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
-        """What the last :meth:`run` left in the memory after ``elapsed`` [s]."""
+        """The solution of the last :meth:`run`, which took ``elapsed`` [s]."""
         row = self.log[count - 1]
         return Solution(
             status=self.status(status),

@@ -117,7 +117,7 @@ def _study(directory: Path) -> dict[str, Any]:
         outcomes = Counter(row["outcome"] for row in Store(directory).outcomes().values())
         finished = sum(n for outcome, n in outcomes.items() if outcome not in (ERROR, LOST))
         found |= {"finished": finished, "failed": finished - outcomes["completed"]}
-        found["note"] = "was interrupted or is running; the same command goes on"
+        found["note"] = "was interrupted or is running; the same command continues"
     return found
 
 
@@ -140,7 +140,7 @@ def _search(directory: Path) -> dict[str, Any]:
         return {
             "title": directory.name,
             "trials": 0,
-            "note": "the search was interrupted or is running; the same command goes on",
+            "note": "the search was interrupted or is running; the same command continues",
         }
     found = load_json(trials)
     fine = sum(bool(trial["feasible"]) for trial in found)

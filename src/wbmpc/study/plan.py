@@ -109,7 +109,7 @@ def combinations(definition: Definition, folder: Path, where: str) -> list[Combi
     known: set[str] = set()
     for c in found:
         if c.key in known:
-            raise InputError(f"{where}: experiment '{c.experiment}': {c.label}: these settings are there twice")
+            raise InputError(f"{where}: experiment '{c.experiment}': {c.label}: these settings appear twice")
         known.add(c.key)
     return found
 

@@ -138,7 +138,7 @@ class Store:
             self._close()
             self._recover()  # what a full disk took of the line
             raise NotWritten(
-                f"{self._journal}: cannot be written ({error.strerror}); what was finished before is kept, the same command goes on"
+                f"{self._journal}: cannot be written ({error.strerror}); what was finished before is kept, the same command continues"
             ) from error
         self._count += 1
         if self._count >= PART:

@@ -35,8 +35,8 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Study:
-    """A study: what is run (``definition``), where its file is (``path``: relative names in it are looked up beside it), and the
-    folder of its results (``out``)::
+    """A study: its ``definition``, the ``path`` of its file (relative names in it are resolved from there), and the directory ``out`` of
+    its results::
 
         study = Study.load("rates.yaml", "runs/rates")
         summary = study.run(workers=2)      # what has no result yet
@@ -64,13 +64,13 @@ class Study:
 
     @property
     def planned(self) -> int:
-        """How many runs it has."""
+        """Number of runs."""
         return len(self.combinations) * len(self.definition.seeds)
 
     def run(
         self, workers: int | None = None, scheduler: str | None = None, progress: Progress | None = None
     ) -> Summary:
-        """Do the runs that have no result yet on ``workers`` processes (None: as many as there are cores; 0: in this one), or on the
+        """Run everything that has no result yet on ``workers`` processes (None: as many as there are cores; 0: in this one), or on the
         workers of the Dask scheduler at an address; write rows, statistics and page. What is interrupted goes on the next time.
 
         Raises :class:`InputError` for settings that do not exist, for robots and files that cannot be read, and where ``out`` has runs

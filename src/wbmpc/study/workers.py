@@ -90,7 +90,7 @@ class Cluster:
                 return self._tasks.pop(future.key), lost(why)
             if future.status == "cancelled" or self._client.status != "running":
                 raise RunAborted(
-                    f"the scheduler {self._address} is gone; what is finished is kept, the same command goes on"
+                    f"the scheduler {self._address} is gone; what is finished is kept, the same command continues"
                 )
             self._done.add(future)  # its result was lost with its worker: another one does it again
 

@@ -1,4 +1,4 @@
-"""General experiments: any robot follows a path, holds still, goes to goals, or drives as it is ordered. They belong to no paper.
+"""General experiments: any robot follows a path, holds still, goes to goals, or follows velocity commands. They belong to no paper.
 
 :func:`wbmpc.tasks.loop.closed_loop` makes a closed loop of a robot and an MPC of one's own, and :func:`wbmpc.tasks.simulation.simulate`
 runs it in one call.

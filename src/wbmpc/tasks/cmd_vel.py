@@ -1,4 +1,4 @@
-"""`cmd-vel`: the base of any robot drives as it is ordered, and carries its end effector along."""
+"""`cmd-vel`: the base of any robot follows velocity commands and carries its end effector along."""
 
 from __future__ import annotations
 
@@ -73,5 +73,5 @@ def _check(robot: RobotModel, settings: CmdVelSettings) -> None:
 
 
 EXPERIMENT = Experiment.of(
-    "cmd-vel", "the base of any robot drives as it is ordered", CmdVelSettings, build, DEFINITIONS
+    "cmd-vel", "the base of any robot follows velocity commands", CmdVelSettings, build, DEFINITIONS
 )

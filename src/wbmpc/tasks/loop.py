@@ -92,7 +92,7 @@ def closed_loop(
     truth: Callable[[float, Truth], None] | None = None,
     paced: bool = False, alternatives: bool = False, done: Callable[[], bool] | None = None,
 ) -> Scenario:  # fmt: skip
-    """Run ``mpc`` on ``robot`` for ``duration`` [s], from home on; all that is random has the ``seed``.
+    """Run ``mpc`` on ``robot`` for ``duration`` [s], from home; ``seed`` of all random numbers.
 
     Recorded every 10 ms: the end effector, its reference (of the cost "end_effector", where there is one) and its error, the base and its
     estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller

@@ -286,4 +286,4 @@ STATIC = _experiment("obstacles-static", "a path past a pillar, a bar and a shel
 MOVING = _experiment("obstacles-moving", "a path that people cross", Moving, moving_scene)
 SUDDEN = _experiment("obstacles-sudden", "a pillar appears right ahead", Sudden, sudden_scene)
 CORRIDOR = _experiment("corridor", "a path through a narrow corridor", Corridor, corridor_scene)
-CLUTTER = _experiment("clutter", "a path among things that sensors have to find", Clutter, clutter_scene)
+CLUTTER = _experiment("clutter", "a path among obstacles that only range sensors see", Clutter, clutter_scene)

@@ -35,14 +35,14 @@ def simulate(
     since: float = 0.0,
     **settings: Any,
 ) -> RunResult:
-    """Run ``mpc``, with its costs, constraints and references, on a simulated ``robot`` for ``duration`` [s]. ``seed``: of all that
-    is random; ``name``: what files and the view call the run.
+    """Run ``mpc``, with its costs, constraints and references, on a simulated ``robot`` for ``duration`` [s]. ``seed`` of all random
+    numbers; ``name`` of the run in files and in the view.
 
     In MuJoCo by default: plant perturbed against the model, noisy sensors, drives with lag, delay. ``settings`` are those of
     :class:`wbmpc.tasks.settings.SimulationSettings`: ``physics="kinematic"`` for the model itself, ``plant={"mass": 0}``,
-    ``computation_delay``. ``out``: a directory for metrics.json, log.npz, report.html and run.mcap (left out: no files); ``view``: show it
-    in a browser, in real time; ``since`` [s]: from then on errors count. Raises :class:`InputError` for bad settings, and a directory
-    that has a run already. A run that ends early is returned, with its reason.
+    ``computation_delay``. ``out``: a directory for metrics.json, log.npz, report.html and run.mcap (default: no files); ``view``: show it
+    in a browser, in real time; ``since`` [s]: metrics of errors start then. Raises :class:`InputError` for bad settings, and for a
+    directory that already has a run. A run that ends early is returned with its reason.
     """
     try:
         chosen = SimulationSettings(**settings)

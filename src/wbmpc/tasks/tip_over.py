@@ -172,7 +172,7 @@ def build(settings: TipOverSettings, seed: int) -> Scenario:
 
 EXPERIMENT = Experiment.of(
     "tip-over",
-    "a robot with a load at full reach is stopped at once, and must not tip over",
+    "a robot with a load at full reach stops abruptly and must not tip over",
     TipOverSettings,
     build,
     DEFINITIONS,

@@ -114,7 +114,7 @@ def build(settings: TwoArmsSettings, seed: int) -> Scenario:
 
 EXPERIMENT = Experiment.of(
     "two-arms",
-    "two end effectors carry one thing along a path while the base drives",
+    "two end effectors carry one object along a path while the base drives",
     TwoArmsSettings,
     build,
     DEFINITIONS,

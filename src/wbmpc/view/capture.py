@@ -1,4 +1,4 @@
-"""Buttons that keep what a page shows: a picture, and a clip. Both are made by the browser, and nothing of it comes to the server."""
+"""Buttons that save a picture or a clip of the page. The browser makes both; nothing is sent to the server."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import viser
 
 #: Pictures per second of a clip.
 RATE = 30
-#: Draws the 3D picture onto paper of its own, right after the page has drawn it (its canvas is empty at any other time). ``URL`` alone is
-#: the document's address in a handler of HTML.
+#: Copies the 3D picture to a second canvas right after the page has drawn it: the page's canvas is empty at any other time. ``URL`` alone
+#: is the document's address in an HTML handler.
 _SCRIPT = """
 (() => {
   const name = NAME, rate = RATE;
@@ -20,19 +20,19 @@ _SCRIPT = """
     link.href = window.URL.createObjectURL(blob); link.download = `${name}.${ending}`; link.click();
     setTimeout(() => window.URL.revokeObjectURL(link.href), 60000);
   };
-  const paper = document.createElement("canvas"), ink = paper.getContext("2d");
+  const copy = document.createElement("canvas"), context = copy.getContext("2d");
   const draw = () => {
     const scene = document.querySelector("canvas[data-engine]");
-    if (paper.width !== scene.width || paper.height !== scene.height) Object.assign(paper, { width: scene.width, height: scene.height });
-    ink.fillStyle = "white"; ink.fillRect(0, 0, paper.width, paper.height); ink.drawImage(scene, 0, 0);
+    if (copy.width !== scene.width || copy.height !== scene.height) Object.assign(copy, { width: scene.width, height: scene.height });
+    context.fillStyle = "white"; context.fillRect(0, 0, copy.width, copy.height); context.drawImage(scene, 0, 0);
   };
-  window.wbmpcPicture = () => requestAnimationFrame(() => { draw(); paper.toBlob(blob => save(blob, "png")) });
+  window.wbmpcPicture = () => requestAnimationFrame(() => { draw(); copy.toBlob(blob => save(blob, "png")) });
   let recorder = null;
   window.wbmpcClip = button => {
     if (recorder) { recorder.stop(); return }
     const parts = [], again = () => { if (recorder) { draw(); requestAnimationFrame(again) } };
     draw();
-    recorder = new MediaRecorder(paper.captureStream(rate), { mimeType: "video/webm" });
+    recorder = new MediaRecorder(copy.captureStream(rate), { mimeType: "video/webm" });
     recorder.ondataavailable = event => parts.push(event.data);
     recorder.onstop = () => { recorder = null; button.textContent = "Record a clip"; save(new Blob(parts, { type: "video/webm" }), "webm") };
     recorder.start(1000); button.textContent = "Stop and save"; requestAnimationFrame(again);
@@ -46,7 +46,7 @@ _BUTTON = (
 
 
 def add_capture(gui: viser.GuiApi, title: str) -> None:
-    """The buttons; files are named after ``title``."""
+    """Add the buttons; files are named after ``title``."""
     name = re.sub(r"[^A-Za-z0-9.-]+", "-", title).strip("-") or "wbmpc"
     script = html.escape(_SCRIPT.replace("NAME", json.dumps(name)).replace("RATE", str(RATE)))
     buttons = (

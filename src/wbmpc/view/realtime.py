@@ -160,9 +160,9 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
 
 # ---------------------------------------------------------------------- in the view's process
 def scene_of(robot: RobotModel) -> tuple[Any, SceneReader]:
-    """A puppet of the robot, as described, and who reads its scene."""
-    puppet = base_type(robot.description.base.type).plant(robot, Perturbation.none(), 0)
-    return puppet, SceneReader(puppet.model, robot.description.base.body)
+    """The robot in MuJoCo as its file describes it, to be posed without physics, and the reader of its scene."""
+    plant = base_type(robot.description.base.type).plant(robot, Perturbation.none(), 0)
+    return plant, SceneReader(plant.model, robot.description.base.body)
 
 
 class Picture:
@@ -170,7 +170,7 @@ class Picture:
 
     def __init__(self, robot: str, moments: Mailbox, seen: Mailbox | None) -> None:
         self.robot, self._moments, self._seen = load_robot(robot), moments, seen
-        self._puppet, self._reader = scene_of(self.robot)
+        self._plant, self._reader = scene_of(self.robot)
         self._lift = np.array([0.0, 0.0, -self.robot.base.ground])
         self._loads = Loads(self.robot.description, self._reader.joint_names)
         self._moment: dict[str, Array] = {"t": np.array(0.0), "late": np.array(np.nan), "x": self.robot.home}
@@ -191,8 +191,8 @@ class Picture:
         self._moment = moment.values if moment is not None else self._moment
         seen = self._seen.read() if self._seen is not None else None
         self._ground = seen.values if seen is not None else self._ground
-        self._puppet.arrange(self._moment["x"])
-        poses = self._reader.poses(self._puppet.data)
+        self._plant.arrange(self._moment["x"])
+        poses = self._reader.poses(self._plant.data)
         position, orientation = self.robot.pose(self._moment["x"])
         end_effector = np.concatenate([position + self._lift, orientation])
         states, index = plan["plan"][np.isfinite(plan["plan"]).all(axis=1)], self._reader.scene.index
@@ -202,7 +202,7 @@ class Picture:
             "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
             "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
-            "configuration": self._legs.number(self._reader.joint_states(self._puppet.data)[:, 0]),
+            "configuration": self._legs.number(self._reader.joint_states(self._plant.data)[:, 0]),
             "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {
@@ -214,7 +214,7 @@ class Picture:
 
     def _speeds(self) -> dict[str, float]:
         """Largest joint speeds over their limits, between the last two states."""
-        t, joints = float(self._moment["t"]), self._reader.joint_states(self._puppet.data)[:, 0]
+        t, joints = float(self._moment["t"]), self._reader.joint_states(self._plant.data)[:, 0]
         if self._previous is None or t > self._previous[0]:
             if self._previous is not None:
                 self._shares = self._loads.shares((joints - self._previous[1]) / (t - self._previous[0]))

@@ -84,11 +84,11 @@ def render(
 def _pictures(
     film: Film, moments: np.ndarray, size: tuple[int, int], labels: bool = True, kind: str = ".png"
 ) -> Generator[np.ndarray]:
-    puppet = SceneModel(film.scene)
-    puppet.place(film.picture(float(moments[0]))["poses"])
+    scene_model = SceneModel(film.scene)
+    scene_model.place(film.picture(float(moments[0]))["poses"])
     try:
         renderer = Renderer(
-            puppet, *size, shadows="floor" if kind in RATES else "all", samples=0 if kind in _ROUGH else 4
+            scene_model, *size, shadows="floor" if kind in RATES else "all", samples=0 if kind in _ROUGH else 4
         )
     except WbmpcError as error:
         raise InputError(f"{NO_GRAPHICS} ({error})") from error
@@ -97,7 +97,7 @@ def _pictures(
     with renderer:
         for t in moments:
             s = film.picture(float(t))
-            puppet.place(s["poses"])
+            scene_model.place(s["poses"])
             lines = {
                 name: (color, s[name]) for name, color in LINES.items() if np.isfinite(s[name]).all(axis=1).sum() > 1
             }

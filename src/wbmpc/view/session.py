@@ -1,4 +1,4 @@
-"""`wbmpc view ROBOT`: a robot stands in MuJoCo with its MPC, and goes where its goals are dragged."""
+"""`wbmpc view ROBOT`: a simulated robot whose MPC follows goals that are dragged in the browser."""
 
 from __future__ import annotations
 

@@ -16,15 +16,15 @@ _STEPS = (
     "payload_step",
     "lean_step",
 )
-_ROOMS = ("bases/ball", "estimation", "kernel")
+_PACKAGES = ("bases/ball", "estimation", "kernel")
 LIBRARY = Library(
-    "ball robot", rooms=_ROOMS, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS), uses=(ESTIMATION,)
+    "ball robot", packages=_PACKAGES, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS), uses=(ESTIMATION,)
 )
 compiled, step = LIBRARY.compiled, LIBRARY.step
 #: Steps that ask the model, which is the solver's: those of a robot that only estimates need no solver.
 MODEL = Library(
     "ball robot with its model",
-    rooms=(*_ROOMS, "solver"),
+    packages=(*_PACKAGES, "solver"),
     modules=("wbmpc.bases.ball.model_step",),
     uses=(LIBRARY, ESTIMATION, DRIVER),
 )

@@ -8,7 +8,7 @@ from wbmpc.kernel.library import Library
 _STEPS = ("slip_step", "inertial_step", "brake_step", "tracking_step", "smooth_step")
 LIBRARY = Library(
     "swerve robot",
-    rooms=("bases/swerve", "control", "kernel"),
+    packages=("bases/swerve", "control", "kernel"),
     modules=tuple(f"wbmpc.bases.swerve.{m}" for m in _STEPS),
     uses=(CONTROL,),
 )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wbmpc.bases.swerve.slipping_wheels import FEWEST, SHARE
 from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
+from wbmpc.estimation.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def hanging_wheel(geometry: ModuleGeometry, record: WheelRecord, found: WheelCal
     if not len(apart) or np.mean(apart**2) < CONTRADICTS**2:
         return None
     legs = record.leg.mean(axis=0) if record.leg.size else np.zeros(geometry.modules)
-    wheel, share = odd_one_out(apart, geometry.steer_axes(legs))
+    wheel, share = outlier_wheel(apart, geometry.steer_axes(legs))
     return wheel if share > SHARE else None
 
 

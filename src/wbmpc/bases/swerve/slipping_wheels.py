@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.slip_step import detect_contradiction
-from wbmpc.estimation.wheel_odometry import WheelOdometry, odd_one_out
+from wbmpc.estimation.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 
@@ -61,7 +61,7 @@ class SlippingWheels:
         """Which wheels (n) bool contradict the others; none where no two agree."""
         n, velocity = len(axes), self._velocity.reshape(-1, 2)
         if not gyro:
-            i, share = odd_one_out(self._contradiction.reshape(-1, 2), axes)
+            i, share = outlier_wheel(self._contradiction.reshape(-1, 2), axes)
             return (np.arange(n) == i) & (share > SHARE) & (n >= FEWEST)
         apart = np.linalg.norm(velocity[:, None] - velocity[None], axis=2)
         near = (apart < NEAR) & ~known & ~known[:, None]

@@ -1,4 +1,4 @@
-"""Odometry and control of a mix of wheels: as with fixed wheels, whose matrix is that of the present steering angles."""
+"""Odometry and control of a mix of wheels: those of fixed wheels, with the wheel matrix at the present steering angles."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ SLIP = 0.01
 
 
 class WheelsOdometry(PlanarOdometry):
-    """Least squares for the motion over all wheels: driven ones show how far they rolled, tires that they did not slip sideways.
-    ``covariance`` (3, 3) of the pose, by the wheels' slip."""
+    """Least-squares estimate of the motion from all wheels: driven wheels measure their rolling distance, tires have no side slip.
+    ``covariance`` (3, 3) of the pose, due to slip of the wheels."""
 
     def __init__(self, base: WheelsBase, pose0: ArrayLike, wheels: WheelErrors | None = None) -> None:
         driven = sum(c.driven for c in base.wheel_contacts)
@@ -50,7 +50,7 @@ class WheelsOdometry(PlanarOdometry):
         roll, side = self._base.matrices(0.5 * (s + s0))
         speeds = self._twist.shape[1]
         rows = self.wheels.corrected(self._base.by_input(np.vstack([roll, side])))
-        # what the wheels did without what steering alone moved them by
+        # rotation of the wheels without the part that steering alone causes
         self._shown = self._shown + np.concatenate([w - w0, np.zeros(len(side))]) - rows[:, speeds:] @ (s - s0)
         self._rates = rows[:, :speeds]
         self._fit, self._fit_linear = np.linalg.pinv(self._rates), np.linalg.pinv(self._rates[:, :-1])
@@ -63,14 +63,14 @@ class WheelsOdometry(PlanarOdometry):
         return self.update(time, self._shown, yaw_rate)
 
     def restart(self) -> None:
-        """Also the steering's."""
+        """Forget the last angles, those of the steering too."""
         super().restart()
         self._before = None
 
 
 class WheelsController(PlanarController):
-    """The MPC's state has the **planned** steering angles, so that its rows agree with each other; a loop closes the difference to the
-    measured ones."""
+    """The MPC's state has the **planned** steering angles, which keep its rolling rows consistent; a feedback loop removes the difference
+    to the measured angles."""
 
     odometry: WheelsOdometry
 
@@ -84,7 +84,7 @@ class WheelsController(PlanarController):
 
     @classmethod
     def make_odometry(cls, robot: RobotModel, pose: Array, wheels: WheelErrors | None = None) -> WheelsOdometry:
-        """What finds the way of this base by its wheels, from ``pose`` (3) on."""
+        """Wheel odometry of this base that starts at ``pose`` (3)."""
         return WheelsOdometry(robot.base, pose, wheels)
 
     def measure(self, measurement: PlanarMeasurement) -> None:

@@ -75,5 +75,5 @@ BALL_EXPERIMENT = Experiment.of(
     BALL, SUMMARY.format("ball"), RezeroPushBallSettings, partial(build, "ball"), DEFINITIONS[BALL]
 )
 HAND_EXPERIMENT = Experiment.of(
-    HAND, SUMMARY.format("hand"), RezeroPushHandSettings, partial(build, "hand"), DEFINITIONS[HAND]
+    HAND, SUMMARY.format("end effector"), RezeroPushHandSettings, partial(build, "hand"), DEFINITIONS[HAND]
 )

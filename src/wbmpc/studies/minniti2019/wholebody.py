@@ -1,4 +1,4 @@
-"""`rezero-wholebody`: the end effector goes round a square with a load while the ball stays (Minniti et al. 2019, Fig. 6 and 7)."""
+"""`rezero-wholebody`: the end effector goes around a square with a load while the ball stays (Minniti et al. 2019, Fig. 6 and 7)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wbmpc.studies.minniti2019.settings import AccurateSettings
 from wbmpc.studies.minniti2019.task import Task, ball_robot, bent_arm, reaching, task_scenario
 
 NAME = "rezero-wholebody"
-SUMMARY = "the end effector carries 1 kg round a square while the ball stays (Minniti et al. 2019, Fig. 6)"
+SUMMARY = "the end effector carries 1 kg around a square while the ball stays (Minniti et al. 2019, Fig. 6)"
 #: Corners [m] from home, sideways and up.
 CORNERS = np.array(
     [[0.0, 0.0, 0.0], [0.0, 0.125, 0.0], [0.0, 0.125, 0.25], [0.0, -0.125, 0.25], [0.0, -0.125, 0.0], [0.0, 0.0, 0.0]]

@@ -69,7 +69,7 @@ class SwerveFixedSettings(DrivingSettings):
         for key, names in (("motions", self.motions), ("controllers", self.controllers)):
             twice = [name for k, name in enumerate(names) if name in names[:k]]
             if twice:
-                raise ValueError(f"{key}: '{twice[0]}' stands there twice; valid: each once at most")
+                raise ValueError(f"{key}: '{twice[0]}' appears twice; valid: each once at most")
         return self
 
 

@@ -28,7 +28,7 @@ from wbmpc.studies.pankert2022.support_prediction import RAISE, REST, Case
 from wbmpc.studies.pankert2022.wobble_figures import RATE, TURN, Predictions, metrics, plots
 
 NAME = "swerve-wobble"
-SUMMARY = "one wheel on a block, the stretched arm turns: who wobbles (Pankert et al. 2022, Fig. 5, 6)"
+SUMMARY = "wobble with one wheel on a block while the stretched arm turns (Pankert et al. 2022, Fig. 5, 6)"
 
 IDEALIZATIONS = [
     "body, legs and arm are rigid, tires are soft contacts: nothing swings after a switch as the real robot does",
