@@ -167,11 +167,7 @@ def check_velocities(subject: Subject) -> Iterator[Finding]:
     if names:
         fix = f"give 'limits.velocity: {{{names[0]}: …}}' [rad/s or m/s] in the robot's YAML"
         yield Finding(
-            "warning",
-            "",
-            _joints(names),
-            "no limit of velocity (missing, or not above 0): plans may use any speed",
-            fix,
+            "warning", "", _joints(names), "no limit of velocity (missing, or not above 0): speed is not limited", fix
         )
 
 
