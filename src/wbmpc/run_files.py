@@ -34,7 +34,7 @@ _BROKEN_ARCHIVE = (*_DAMAGED, zipfile.BadZipFile, zlib.error, NotImplementedErro
 
 def read_metrics(path: Path) -> dict[str, Any]:
     """A metrics.json: ``metrics`` (value or None, and unit, by name), ``targets`` (numbers by metric), ``settings`` and ``versions`` are
-    mappings, ``idealisations`` are texts, empty where they are missing.
+    mappings, "idealisations" are texts, empty where they are missing.
 
     Raises :class:`InputError` naming file and key.
     """
@@ -58,7 +58,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
         _check_target(f"{path}: key 'targets.{name}'", target)
     texts = data.setdefault("idealisations", [])
     if not isinstance(texts, list) or not all(isinstance(t, str) for t in (*texts, *data["versions"].values())):
-        raise InputError(f"{path}: keys 'idealisations' and 'versions': texts are needed")
+        raise InputError(f'{path}: keys "idealisations" and "versions": texts are needed')
     return data
 
 

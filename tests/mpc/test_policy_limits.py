@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -100,6 +102,20 @@ def test_a_state_of_another_shape_is_an_error_and_not_spread(mpc: MPC) -> None:
     gain = np.broadcast_to([[1e200, -1e200]], policy.gain.shape)
     with pytest.raises(NotFinite, match="so far from the plan"):
         Policy(policy.times, policy.x, policy.u, gain, limits=policy.limits)(0.0, np.full(2, 1e200))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"gain": np.ones((2, 2, 3))}, {"gain": np.ones((4, 3, 2))}, {"x": np.ones((2, 3))}, {"times": np.arange(3.0)},
+        {"u": np.ones((0, 2))}, {"active": np.ones((4, 1))}, {"limits": InputLimits(np.zeros(1), np.ones(1))},
+    ],
+)  # fmt: skip
+def test_arrays_that_do_not_fit_are_an_error_and_not_read_beyond_their_end(wrong: dict[str, Any]) -> None:
+    fine = Policy(np.arange(5.0), np.ones((5, 3)), np.ones((4, 2)), np.ones((4, 2, 3)))
+    np.testing.assert_array_equal(fine(0.5, np.ones(3)), [1.0, 1.0])
+    with pytest.raises(InputError, match=r"policy: .*needed"):
+        replace(fine, **wrong)(3.5, np.zeros(3))
 
 
 def test_bounds_in_any_spelling_but_not_soft_or_switched_ones() -> None:

@@ -198,6 +198,26 @@ def test_a_chunk_that_is_larger_than_it_says_is_damaged(compression: bytes) -> N
     assert len(list(records(MAGIC + _chunk(_MESSAGE * 3, None, compression), fine))) == 3 and not fine
 
 
+def test_a_topic_with_other_names_in_every_message_is_no_table(tmp_path: Path) -> None:
+    """Every name is a column: a file of some kilobytes would fill the memory. One message alone may have as many."""
+    file, many = McapFile(tmp_path / "run.mcap"), 12_000
+    for k in range(1200):
+        joints = [f"j{k}_{i}" for i in range(many // 1200)]
+        message = {
+            "header": {"stamp": {"sec": k, "nanosec": 0}, "frame_id": ""},
+            "name": joints,
+            "position": np.zeros(len(joints)),
+        }
+        file.put("/joint_states", "sensor_msgs/JointState", float(k), {**message, "velocity": [], "effort": []})
+    file.close()
+    recording = read_recording(tmp_path)
+    with pytest.raises(InputError, match=r"/joint_states: is no table: its 1200 messages have 12000 different names"):
+        recording.table("/joint_states")
+    topic = recording["/joint_states"]
+    topic.times, topic.data = topic.times[:3], topic.data[:3]
+    assert len(recording.table("/joint_states").columns) == 30
+
+
 def test_a_scene_of_a_recording_is_one_that_can_be_drawn() -> None:
     body, shape = {"name": "a", "parent": "world", "moves": True}, {
         "body": "a", "kind": "sphere", "size": [1, 1, 1], "pose": [0] * 7, "color": [1] * 4, "vertices": [], "faces": [],

@@ -215,6 +215,22 @@ def _free(nu: int) -> np.ndarray:
     return np.concatenate([np.full(nu, -np.inf), np.full(nu, np.inf)])
 
 
+def _sizes(policy: Policy) -> tuple[int, int, int, int]:
+    """Intervals, inputs, states and rows; :class:`InputError` for arrays that do not fit: compiled code reads them without a look."""
+    u, x, limits = np.shape(policy.u), np.shape(policy.x), policy.limits
+    if len(u) != 2 or len(x) != 2 or not u[0]:
+        raise InputError(f"policy: u (N, nu), x (N + 1, nx), at least one interval are needed, got shapes {u} and {x}")
+    (n, nu), nx, rows = u, x[1], 0 if limits is None else limits.offset.size
+    needed = {"times": (n + 1,), "x": (n + 1, nx), "gain": (n, nu, nx), "active": (n, rows), "moving": (n, 2, rows)}
+    for name, shape in needed.items():
+        value = getattr(policy, name)
+        if value is not None and np.shape(value) != shape:
+            raise InputError(f"policy: {name} {shape} is needed for u {u}, got shape {np.shape(value)}")
+    if limits is not None and limits.lower.size != nu:
+        raise InputError(f"policy: limits of {nu} inputs are needed, got those of {limits.lower.size}")
+    return n, nu, nx, rows
+
+
 class _Code:
     """The compiled functions of :mod:`wbmpc.solver.feedback` with the addresses of a policy's arrays: a call costs microseconds."""
 
@@ -222,8 +238,8 @@ class _Code:
         from wbmpc.solver.feedback import EVALUATION, hold
 
         self._evaluate, self._hold = EVALUATION, hold.pointer
-        (n, nu), nx, limits = policy.u.shape, policy.x.shape[1], policy.limits
-        rows = 0 if limits is None else limits.offset.size
+        limits = policy.limits
+        n, nu, nx, rows = _sizes(policy)
         active = np.ones((n, max(rows, 1))) if policy.active is None else policy.active
         moves = policy.moving is not None
         arrays = (

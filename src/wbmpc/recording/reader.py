@@ -23,6 +23,8 @@ from wbmpc.recording.writer import older_part
 _LOG = logging.getLogger(__name__)
 #: Bytes of a recording that is read as a whole, at most.
 LARGEST = 8 * 1024**3
+#: Cells of a table, at most, of which not one in :data:`_SPARSE` is a number that was recorded: messages with other names each time.
+MAX_SPARSE, _SPARSE = 10_000_000, 10
 #: Types of the topics that plots, films and pages read by name; with a slash at the end, of all below.
 KINDS = {
     "/robot_description": "std_msgs/String", "/mode": "std_msgs/String", "/tf": "tf2_msgs/TFMessage",
@@ -139,6 +141,11 @@ class Recording:
         except ValueError:  # of zip
             raise InputError(f"{found.where}: a message has not as many numbers as names") from None
         names = list(dict.fromkeys(name for row in rows for name in row))
+        given, cells = sum(map(len, rows)), len(names) * len(rows)
+        if cells > max(MAX_SPARSE, _SPARSE * given):
+            raise InputError(
+                f"{found.where}: is no table: its {len(rows)} messages have {len(names)} different names; other topics can be named"
+            )
         columns = {}
         for name in names:
             values = [row.get(name, np.nan) for row in rows]
