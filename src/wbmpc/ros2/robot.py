@@ -344,7 +344,8 @@ class BusRobot:
             previous = [self._previous] if self._previous is not None else []
             seen = [*previous, *((at, i.gyro) for at, i in due)]
             times, rates = zip(*seen, strict=True)
-            turning = mean_rate(times, rates, self.settings.safety.watchdog)
+            covered = stamp - times[-1] <= _READING or not isinstance(self.clock, BusClock)  # no stamp ahead
+            turning = mean_rate(times, rates, self.settings.safety.watchdog) if covered else None
             self._previous = seen[-1]
             self._read = stamp, replace(mean_of([i for _, i in due]), turning=turning)
             return self._read[1]
