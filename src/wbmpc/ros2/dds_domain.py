@@ -94,7 +94,9 @@ def _check_peers(peers: tuple[str, ...]) -> None:
         except (OSError, UnicodeError):
             known = False
         if not known:
-            raise InputError(f"ROS_STATIC_PEERS: '{peer[:300]}' has no address that is known here; valid: HOST or HOST:PORT")
+            raise InputError(
+                f"ROS_STATIC_PEERS: '{peer[:300]}' has no address that is known here; valid: HOST or HOST:PORT"
+            )
 
 
 def _opened(network: Network) -> Domain:
