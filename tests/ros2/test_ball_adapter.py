@@ -161,8 +161,24 @@ def test_joint_states_that_come_late_let_no_robot_go_and_hold_one_that_balances(
         assert held == [body.lateness.fault] * bool(says)
 
 
+def test_readings_of_a_gyro_say_nothing_of_the_time_after_them(adapter: Any) -> None:
+    """Joint states that are stamped 0.3 s ahead would turn the odometry for so long; by the wall's clock their arrival counts."""
+    node: Any = SimpleNamespace(subscribe=lambda *given, **also: None, publisher=lambda *given, **also: None)
+    for clock, covered in ((BusClock(), False), (WallClock(), True)):
+        body = BusRobot(node, adapter, BallRosSettings(use_sim_time=True), clock)
+        for stamp_of_joints, readings, known in (
+            (1.0, (0.98, 0.99), True),
+            (1.3, (1.0, 1.01), covered),
+            (1.02, (1.02,), True),
+        ):
+            body._fresh = [(at, Inertial(np.ones(3), np.zeros(3))) for at in readings]
+            found = body._averaged(stamp_of_joints)
+            assert found is not None and (found.turning is not None) == known
+
+
 def test_a_robot_that_has_fallen_gets_no_more_torques(adapter: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The run ends with what has happened, not with numbers of a model that has no answer there. By hand: acos(cos 0.5 cos 0.55) is 42°, acos(cos² 0.49) 39°."""
+    """The run ends with what has happened, not with numbers of a model that has no answer there. By hand: acos(cos 0.5 cos 0.55)
+    is 42°, acos(cos² 0.49) 39°."""
     arm, still = ROBOT.home[ROBOT.state["arm"]], (np.zeros(3), np.array([0.0, 0.0, 9.81]))
     adapter.begin(ROBOT.home)
     controller, x = adapter.controller, ROBOT.home.copy()

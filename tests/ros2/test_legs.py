@@ -105,7 +105,7 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
     legs.stop()
 
 
-def test_a_leg_on_its_way_stays_on_it_where_brakes_refuse_an_order(robot: Any) -> None:
+def test_a_leg_on_its_way_stays_on_it_where_an_order_is_rejected(robot: Any) -> None:
     """Else its brake would remain open for good: nobody watches whether it arrives, or comes no nearer."""
     legs, brakes, at = robot.control.legs, BrakeControl(ROBOT), np.zeros(4)
     legs.stop()

@@ -86,14 +86,15 @@ def test_the_estimate_goes_on_over_runs_and_gaps(robot: RobotModel) -> None:
 
 
 def test_a_wrong_stamp_turns_nobody(robot: RobotModel) -> None:
-    """A base that turns by 0.5 rad/s, as wheels and gyro say; one message is stamped 0.3 s ahead, and the next ones are right again:
-    0.5 rad/s for 0.3 s were 0.15 rad, which stayed. It is as uncertain as after a gap. A base that stands then does not follow its gyro."""
+    """A base that turns by 0.5 rad/s, as wheels and gyro say; one message is stamped 0.3 s ahead, and the next ones are right again. It
+    is as uncertain as after a gap. A base that stands then does not follow its gyro."""
     c, turned = follower(robot), 0.0
     c.odometry.gyro._covariance[3, 3] = 0.0  # its bias is known
     for k in range(400):
         t, turned = 0.01 * k, 0.005 * k
         wheel = turned * HALF / RADIUS * np.array([-1.0, 1.0])
-        c.measure(BusMeasurement(t + 0.3 * (k == 200), wheel, np.zeros(2), turning=0.5))
+        ahead = k == 200  # of which the gyro says nothing
+        c.measure(BusMeasurement(t + 0.3 * ahead, wheel, np.zeros(2), turning=None if ahead else 0.5))
         assert c.pose[2] == pytest.approx(turned, abs=0.011)
     assert c.covariance[2, 2] >= UNSEEN[2] ** 2
     for k in range(200):  # its clock was set back; the gyro counts for 0.25 s

@@ -88,13 +88,15 @@ def _check_peers(peers: tuple[str, ...]) -> None:
     """Raise :class:`InputError` for a peer (HOST or HOST:PORT) that has no address: the middleware would abort the process."""
     for peer in peers:
         parts = re.fullmatch(r"([^\s:/,]+)(?::([0-9]{1,5}))?", peer)
+        host, port = ("", 0) if parts is None else (parts[1], int(parts[2] or 0))
         try:
-            known = parts is not None and int(parts[2] or 0) < 2**16
-            known = known and bool(socket.getaddrinfo(parts[1], None, socket.AF_INET))  # type: ignore[index]
+            known = bool(host) and port < 2**16 and bool(socket.getaddrinfo(host, None, socket.AF_INET))
         except (OSError, UnicodeError):
             known = False
         if not known:
-            raise InputError(f"ROS_STATIC_PEERS: '{peer[:300]}' has no address that is known here; valid: HOST or HOST:PORT")
+            raise InputError(
+                f"ROS_STATIC_PEERS: '{peer[:300]}' has no address that is known here; valid: HOST or HOST:PORT"
+            )
 
 
 def _opened(network: Network) -> Domain:

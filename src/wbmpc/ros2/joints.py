@@ -66,6 +66,7 @@ class JointReader:
         self._confirmed = confirmed
         self._doubted: tuple[float, np.ndarray] | None = None
         self._gap = settings.safety.watchdog
+        self.lateness = Lateness(settings.topics.joint_states if confirmed else "")
 
     def read(self, message: Any) -> JointSample:
         """Check and sort a message. A message that is older than the last one is an error too."""

@@ -20,7 +20,7 @@ from wbmpc.ros2.base_driver import HELD, BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Lateness, Series, Standstill, mean_of, mean_rate, read_imu
+from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Series, Standstill, mean_of, mean_rate, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -72,7 +72,7 @@ class BusRobot:
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._fresh_until = -np.inf  # stamp of the inertial unit's last message
         self._behind = np.inf  # least time [s] from a stamp to its arrival
-        self.lateness = Lateness(topics.joint_states if ambiguous else "")
+        self.lateness = self._reader.lateness
         self._lock = threading.Lock()
         self.sent = 0  # commands since the last start
         self._armed = False
@@ -344,7 +344,8 @@ class BusRobot:
             previous = [self._previous] if self._previous is not None else []
             seen = [*previous, *((at, i.gyro) for at, i in due)]
             times, rates = zip(*seen, strict=True)
-            turning = mean_rate(times, rates, self.settings.safety.watchdog)
+            covered = stamp - times[-1] <= _READING or not isinstance(self.clock, BusClock)  # no stamp ahead
+            turning = mean_rate(times, rates, self.settings.safety.watchdog) if covered else None
             self._previous = seen[-1]
             self._read = stamp, replace(mean_of([i for _, i in due]), turning=turning)
             return self._read[1]

@@ -72,8 +72,8 @@ class BusController(PlanarController):
         self.speed: Array = np.zeros(3)
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
-        """As the inertial unit's messages between the two say; over a gap, which may be a wrong stamp's, the wheels alone."""
-        return getattr(now, "turning", None) if self.use_gyro and now.time - previous.time <= GAP else None
+        """As the inertial unit's messages between the two say."""
+        return getattr(now, "turning", None) if self.use_gyro else None
 
     def measure(self, measurement: BusMeasurement) -> None:  # type: ignore[override]
         """Take in the message of this tick, and another localization's pose if there is a new one."""
