@@ -40,6 +40,8 @@ def pairs(option: str, given: list[str] | None) -> dict[str, str]:
 
 #: Of what is printed [characters]: a list of pairs has many lines.
 WIDTH = 140
+#: What findings of a severity are called in the last line.
+_COUNTED = {"error": "error", "warning": "warning", "info": "note"}
 
 
 def _collisions(path: str) -> list[Finding]:
@@ -85,8 +87,7 @@ def doctor(
         for finding in result.findings:
             line = printable(f"{finding.severity:8s}{finding.check:14s}{finding.message}")
             typer.echo(fill(line, WIDTH, subsequent_indent=" " * 22, break_long_words=False, break_on_hyphens=False))
-        typer.echo(
-            f"{result.robot}: {result.count('error')} errors, {result.count('warning')} warnings, {result.count('info')} notes"
-        )
+        counts = ((result.count(severity), word) for severity, word in _COUNTED.items())
+        typer.echo(f"{result.robot}: {', '.join(f'{n} {word}' + 's' * (n != 1) for n, word in counts)}")
     if result.count("error"):
         raise typer.Exit(BAD_INPUT)

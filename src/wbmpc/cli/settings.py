@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 def show_settings(model: type[BaseModel], name: str, as_json: bool, values: BaseModel | None = None) -> None:
     """Every setting of an experiment; ``values``: in place of the defaults."""
-    from rich.markup import escape
 
     from wbmpc.settings_table import rows
 
@@ -31,7 +30,7 @@ def show_settings(model: type[BaseModel], name: str, as_json: bool, values: Base
         shown.add_column(title)
     for row in found:
         cells = (row.key, row.default.strip("`"), row.unit, row.kind.replace("`", ""), row.help)
-        shown.add_row(*map(escape, cells))
+        shown.add_row(*cells)
     console().print(shown)
 
 
