@@ -33,9 +33,8 @@ class LocalMap:
     above the ground belong to the floor. ``reach`` [m] of the sensors: farther points only clear the cells along their ray. Points within
     ``padding`` [m] of the ``robot`` (None: no robot) are removed. A cell becomes free again when several rays pass through it, or
     ``memory`` [s] after it was last seen. ``max_age`` [s]: if a source is silent for longer, plans end in a stop. Coordinates are those
-    of
-    plans (:meth:`wbmpc.model.robot.RobotModel.pose`). ``dropped``: number of invalid points so far. ``shape`` (3): number of cells along x,
-    y, z. Use it from one thread.
+    of plans (:meth:`wbmpc.model.robot.RobotModel.pose`). ``dropped``: number of invalid points so far. ``shape`` (3): number of cells
+    along x, y, z. Use it from one thread.
     """
 
     def __init__(

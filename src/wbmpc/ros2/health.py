@@ -19,12 +19,14 @@ _LOG = logging.getLogger("wbmpc")
 WINDOW = 2.0
 #: A controller is late that runs at less than this share of real time, or of whose ticks more than this share are late.
 SLOW, OFTEN = 0.95, 0.05
-#: A base that leans by more than this [rad] has fallen: no plan leans as far, and no wheel catches it. What a stop for that says first.
-FALLEN, FELL = 0.7, "the robot fell"
+#: A base that leans by more than this [rad] has fallen: no plan leans as far, and no wheel catches it.
+FALLEN = 0.7
+#: How the reason of a stop for a fall begins.
+FELL = "the robot fell"
 
 
 def fall(x: np.ndarray) -> str:
-    """That a robot with the state x (x, y, yaw, pitch, roll, …) has fallen, in words; empty if it has not."""
+    """Message that a robot with the state x (x, y, yaw [rad], pitch [rad], roll [rad], …) has fallen; empty if it has not."""
     lean = math.acos(math.cos(x[3]) * math.cos(x[4])) if np.isfinite(x[3:5]).all() else math.pi
     return f"{FELL}, it leans by {math.degrees(lean):.0f} degrees" if lean > FALLEN else ""
 

@@ -59,8 +59,7 @@ class InteriorPoint:
     and further down where the plan still depends on it, as with costs in tiny units); "real_time" keeps
     it at ``barrier``, but where slacks cut steps to nearly nothing, as after a jump of a reference: μ then rises until steps are long
     again, and falls afterwards. It starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one
-    iteration
-    per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
+    iteration per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
     and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is cut below
     0.9 of the longest that is tried (docs/explanation/solver.md).
     ``rollout_restart``: in real time, if a state outside a limit cuts steps to almost zero, the iterate is replaced by a roll-out from
