@@ -4,7 +4,7 @@
 # Measurements are commands of their own: benchmarks/README.md.
 PYTHON ?= python3
 VENV ?= .venv
-# at most this many test processes
+# test processes
 PYTEST_WORKERS ?= 2
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable
@@ -24,7 +24,7 @@ test: $(VENV)/.tested
 FAST_TESTS := tests/test_layering.py tests/test_no_base_names.py tests/test_lie.py tests/test_configuration.py tests/ocp \
 	tests/kernel/test_cache_owner.py tests/solver/test_line_search.py tests/mpc/test_policy_limits.py
 fast: $(VENV)/.tested
-	$(ENVIRONMENT) $(BIN)/python -m pytest -x -n auto --maxprocesses $(PYTEST_WORKERS) -m "not wallclock" $(FAST_TESTS)
+	$(ENVIRONMENT) $(BIN)/python -m pytest -x -n $(PYTEST_WORKERS) -m "not wallclock" $(FAST_TESTS)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

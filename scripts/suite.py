@@ -42,7 +42,7 @@ def suite(workers: int, arguments: Sequence[str], cache: Path, run: Run = pytest
     # each process would rewrite all assertions to explain those that fail: variables do, and what fails is run once more
     terse = ["--assert", "plain", "--showlocals"]
     # "worksteal" leaves the tests of a module with one process, so that what they share is made once
-    beside = [*terse, "-n", "auto", "--maxprocesses", str(workers), "--dist", "worksteal", "-m", "not wallclock"]
+    beside = [*terse, "-n", str(workers), "--dist", "worksteal", "-m", "not wallclock"]
     beside += [f"--ignore={path}" for path in ignored]
     status = [run([*remember, *beside, *arguments])]
     # other tests would take the time of these
@@ -68,7 +68,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
-    parser.add_argument("--workers", type=int, default=2, help="at most this many test processes")
+    parser.add_argument("--workers", type=int, default=2, help="test processes")
     parser.add_argument("--ignore", action="append", default=[], help="a path whose tests have been run")
     known, arguments = parser.parse_known_args()
     with tempfile.TemporaryDirectory() as cache, suppress(KeyboardInterrupt):
