@@ -2,12 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from wbmpc.output_file import whole_file
+
+#: Rows for which there is room at first.
+_FIRST = 1024
+
+
+class Rows:
+    """Channels that are written together at the same times, with one copy for all. ``values``: by channel what the next row will be, an array
+    (width,) to write into."""
+
+    def __init__(self, widths: Mapping[str, int | None]) -> None:
+        """``widths`` by channel; None: one number."""
+        ends = np.cumsum([1 if width is None else width for width in widths.values()]).tolist()
+        self._next, self._count = np.zeros(ends[-1]), 0
+        self._rows, self._times = np.zeros((_FIRST, ends[-1])), np.zeros(_FIRST)
+        self._places: dict[str, slice | int] = {}
+        for (channel, width), end in zip(widths.items(), ends, strict=True):
+            self._places[channel] = end - 1 if width is None else slice(end - width, end)
+        starts = [0, *ends]
+        self.values = {c: self._next[starts[i] : starts[i + 1]] for i, c in enumerate(widths)}
+
+    def add(self, t: float) -> None:
+        """Append a row of :attr:`values` at time ``t`` [s]."""
+        k = self._count
+        if k == len(self._times):
+            self._rows, self._times = (
+                np.concatenate([part, np.zeros_like(part)]) for part in (self._rows, self._times)
+            )
+        self._rows[k], self._times[k], self._count = self._next, t, k + 1
+
+    def times(self) -> np.ndarray:
+        """Times (n,) [s]."""
+        return self._times[: self._count].copy()
+
+    def array(self, channel: str) -> np.ndarray:
+        """Rows of a channel, (n, width) or (n,)."""
+        return self._rows[: self._count, self._places[channel]].copy()
 
 
 class Log:
@@ -21,6 +57,13 @@ class Log:
         self.units: dict[str, tuple[str, ...]] = {}
         self._times: dict[str, list[float]] = {}
         self._rows: dict[str, list[np.ndarray]] = {}
+        self._together: dict[str, Rows] = {}
+
+    def together(self, widths: Mapping[str, int | None]) -> Rows:
+        """New channels that are written together: ``widths`` of their rows, None for one number."""
+        rows = Rows(widths)
+        self._together |= dict.fromkeys(widths, rows)
+        return rows
 
     def add(self, channel: str, t: float, value: object) -> None:
         """Append a row, ``value`` (width,) or one number, at time ``t`` [s]."""
@@ -41,8 +84,8 @@ class Log:
     def extend(self, other: Log, suffix: str, channels: Sequence[str] | None = None) -> None:
         """Append the rows of another log as CHANNEL + ``suffix``: of all its ``channels``, or of these."""
         for channel in other.channels if channels is None else channels:
-            self._times.setdefault(f"{channel}{suffix}", []).extend(other._times[channel])
-            self._rows.setdefault(f"{channel}{suffix}", []).extend(other._rows[channel])
+            self._times.setdefault(f"{channel}{suffix}", []).extend(other.times(channel).tolist())
+            self._rows.setdefault(f"{channel}{suffix}", []).extend(other.array(channel))
             for own, found in ((self.names, other.names), (self.units, other.units)):
                 if channel in found:
                     own[f"{channel}{suffix}"] = found[channel]
@@ -50,22 +93,24 @@ class Log:
     @property
     def channels(self) -> list[str]:
         """Names of all channels."""
-        return list(self._rows)
+        return [*self._rows, *self._together]
 
     def times(self, channel: str) -> np.ndarray:
         """Times (n,) of a channel [s]."""
-        return np.array(self._times[channel])
+        rows = self._together.get(channel)
+        return np.array(self._times[channel]) if rows is None else rows.times()
 
     def array(self, channel: str) -> np.ndarray:
         """Rows of a channel, (n, width) or (n,) for scalars."""
-        return np.array(self._rows[channel])
+        rows = self._together.get(channel)
+        return np.array(self._rows[channel]) if rows is None else rows.array(channel)
 
     def save(self, path: Path) -> None:
         """Write a NumPy archive, whole or not at all: CHANNEL and CHANNEL.time for each channel, CHANNEL.names and CHANNEL.units
         where components have them."""
-        arrays = {c: self.array(c) for c in self._rows}
-        arrays |= {f"{c}.time": self.times(c) for c in self._rows}
+        arrays = {c: self.array(c) for c in self.channels}
+        arrays |= {f"{c}.time": self.times(c) for c in self.channels}
         for kind, found in (("names", self.names), ("units", self.units)):
-            arrays |= {f"{c}.{kind}": np.array(own, str) for c, own in found.items() if c in self._rows}
+            arrays |= {f"{c}.{kind}": np.array(own, str) for c, own in found.items() if c in self.channels}
         with whole_file(path) as partial:
             np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]

@@ -149,6 +149,10 @@ class World:
         d, (is_site, index) = self.data, self.site
         places, rotations = (d.site_xpos, d.site_xmat) if is_site else (d.xpos, d.xmat)
         self._tool_now = places[index], rotations[index]
+        #: where the base and the tool are: views of the simulator's memory
+        self.frame_memory = {
+            "base": d.xpos[self.body], "rotation": d.xmat[self.body], "tool": places[index], "tool_rotation": rotations[index],
+        }  # fmt: skip
         own = {"tool": np.zeros(3), "tool_rotation": np.zeros(9), "seen": np.zeros(3), "turned": np.zeros(9)}
         self._frames = own | {"base": d.xpos[self.body], "rotation": d.xmat[self.body]}
         self._from_base: Callable[[], None] = bind(from_base, self._frames).call
@@ -279,11 +283,16 @@ class World:
         return unwrap(self._wrapped_yaw(), self._yaw)
 
     @property
+    def counted_yaw(self) -> float:
+        """The base's yaw [rad] of the last command's end, with its whole turns."""
+        return self._yaw
+
+    @property
     def tilt(self) -> float:
         """Angle [rad] between the base's z axis and the vertical."""
         w, x, y, z = self.base_pose()[3:].tolist()
-        cosine = 1.0 - 2.0 * (x * x + y * y) / (w * w + x * x + y * y + z * z)
-        return math.acos(min(max(cosine, -1.0), 1.0))
+        half = math.sqrt((x * x + y * y) / (w * w + x * x + y * y + z * z))  # its sine
+        return 2.0 * math.asin(min(half, 1.0))
 
     @property
     def rests(self) -> bool:

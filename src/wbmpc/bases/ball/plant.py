@@ -108,6 +108,8 @@ class BallPlant(WorldAccess):
         arrays = {"q": np.zeros(self.model.nq), "v": np.zeros(self.model.nv), "state": np.zeros(10 + 2 * n)}
         places = {"arm_q": self._arm_q.astype(np.int64), "arm_v": self._arm_v.astype(np.int64)}
         self._minimal = arrays | places
+        #: by the names of compiled steps: the simulator's positions and velocities, frames, and where the arm's joints are in them
+        self.memory = {"q": self.data.qpos, "v": self.data.qvel, **self.world.frame_memory, **places}
         self._to_minimal: Callable[[], None] = bind(minimal_state, self._minimal, m=n).call
         self._late, jitter = round(p.state_age / timestep), round(p.encoder_jitter / timestep)
         wheels = WheelGeometry.of(self.base, self.draw.radius)

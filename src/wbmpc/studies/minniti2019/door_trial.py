@@ -26,7 +26,7 @@ from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door, DoorPlant
 from wbmpc.studies.minniti2019.door_problem import EstimatedCone, FreeApproach, default_push_cost, door_problem
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
 from wbmpc.studies.minniti2019.door_tracker import Push
-from wbmpc.studies.minniti2019.task import ball_robot, record_rezero
+from wbmpc.studies.minniti2019.task import RezeroRecord, ball_robot
 
 _LOG = logging.getLogger("wbmpc")
 #: Where the end effector touches the panel, from the hinge; the gap before it [m].
@@ -110,9 +110,10 @@ def push_door(
     possible, fault = bounded(settings, robot, force)
     controller = make_controller(settings, possible, robot, mpc, home, torque, timing.period, geometry)
     log = Log()
+    rows = RezeroRecord(log, plant, controller)
 
     def record(t: float, command: Any, plans: Any) -> None:
-        record_rezero(log, t, plant, controller, command.torque)
+        rows.add(t, command.torque)
         record_door(log, t, plant, controller, plans)
 
     duration = settings.settle_time + settings.timeout + settings.final_hold_time

@@ -25,7 +25,7 @@ from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
 from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
-from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_robot, record_rezero
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS, RezeroRecord, ball_robot
 
 NAME = "rezero-frequency"
 SUMMARY = "torque tracking of elastic drives with and without frequency-aware MPC (Minniti et al. 2019, section III-D)"
@@ -82,6 +82,7 @@ def drive(
         controller = BallController(robot, mpc, torque, *own)
         mpc.reset(home, torque)
     single, target = Log(), torque.copy()
+    rows = RezeroRecord(single, plant, controller)
     for channel in (f"acting_{name}", f"asked_{name}"):
         log.label(channel, [*robot.input.groups["wheel"], *robot.input.groups["arm"]], "N m")
     log.label(f"wanted_{name}", "xyz", "m")
@@ -96,7 +97,7 @@ def drive(
         log.add(f"asked_{name}", t, target.copy())  # the command before this one, which has acted until now
         target[:] = command.torque
         log.add(f"wanted_{name}", t, places[k])
-        record_rezero(single, t, plant, controller, command.torque)
+        rows.add(t, command.torque)
 
     outcome = Loop(plant, controller, mpc, timing, float(times[-1]) + settings.hold_time, record).run(progress)
     append_as(single, log, name, ("state", "tilt", "torque"))

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
-from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.settings import lean_control_of
+from wbmpc.bases.ball.truth_record import TruthRecord
 from wbmpc.bases.base import System
 from wbmpc.checks import whole
 from wbmpc.errors import InputError
@@ -32,7 +31,6 @@ from wbmpc.studies.minniti2019.baselines import Parts, make_controller
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.tasks.joint_figures import JointRecord
-from wbmpc.types import Truth
 from wbmpc.units import force_unit
 
 IDEALIZATIONS = [
@@ -179,16 +177,16 @@ def task_scenario(
             # (states from the simulator with noise are all pushes)
             controller.shoves = PushEstimator(robot, task.arm, settings.expected_push_time)
         joints = JointRecord(log, robot, System(plant, controller, system.mpc, system.timing))
-    ticks = count()
+    rows, ticks = RezeroRecord(log, plant, controller), count()
 
     def record(t: float, command: Any, plans: Any) -> None:
         if previous is not None:
             previous(system.mpc, system.timing, t)
-        truth = record_rezero(log, t, plant, controller, controller.torque)
+        rows.add(t, controller.torque)
         log.add("feedback", t, controller.target - controller.feedforward)
         if joints is not None and next(ticks) % JOINT_ROWS == 0:
             log.add("input", t, plans.current.feedforward(t))
-            joints.tick(t, truth, plans)
+            joints.tick(t, plant.truth(), plans)
         if task.pushes:
             active = [p.force for p in task.pushes if p.start <= t + 1e-9 < p.start + p.length]
             plant.push(np.sum(active, axis=0) if active else np.zeros(3))
@@ -201,22 +199,32 @@ def task_scenario(
     )  # fmt: skip
 
 
-def record_rezero(log: Log, t: float, plant: BallPlant, controller: BallController, torque: np.ndarray) -> Truth:
-    """The channels of every experiment: truth, which is returned, torques, disturbance and, with an estimator, what it believes."""
-    truth = plant.truth()
-    if "torque" not in log.names:
-        _label(log, controller.robot)
-    log.add("state", t, truth.state)
-    log.add("hand", t, truth.tool)
-    log.add("hand_quaternion", t, lie.rotation_to_quaternion(truth.tool_rotation))
-    log.add("tilt", t, truth.tilt)
-    log.add("torque", t, torque)
-    log.add("disturbance", t, controller.disturbance)
-    if controller.payload is not None:
-        log.add("payload", t, controller.payload.mass)
-    if controller.estimator is not None:
-        _record_estimate(log, t, controller.state()[: truth.state.size], truth, controller.estimator.filter)
-    return truth
+class RezeroRecord:
+    """The channels of every experiment: truth, torques, disturbance and, with an estimator, what it believes."""
+
+    def __init__(self, log: Log, plant: BallPlant, controller: BallController) -> None:
+        self._controller, robot = controller, controller.robot
+        others: dict[str, int | None] = {"torque": controller.torque.size, "disturbance": robot.base.nq}
+        if controller.payload is not None:
+            others["payload"] = None
+        if controller.estimator is not None:
+            others["rolling_fault"] = None
+        self._record = TruthRecord(log, plant, others, controller.estimator is not None)
+        self._size = robot.state.size
+        _label(log, robot)
+
+    def add(self, t: float, torque: np.ndarray) -> None:
+        """A row at time t [s], with the ``torque`` (nu) of the drives [N m]."""
+        values, controller = self._record.values, self._controller
+        values["torque"][:], values["disturbance"][:] = torque, controller.disturbance
+        if controller.payload is not None:
+            values["payload"][0] = controller.payload.mass
+        if controller.estimator is None:
+            self._record.add(t)
+            return
+        faults = controller.estimator.filter.faults
+        values["rolling_fault"][0] = float(any(not f.startswith("imu") for f in faults))
+        self._record.add(t, controller.state()[: self._size])
 
 
 def _label(log: Log, robot: RobotModel) -> None:
@@ -228,13 +236,3 @@ def _label(log: Log, robot: RobotModel) -> None:
         ("disturbance", robot.base.parameters["disturbance"], forces),
     ):  # fmt: skip
         log.label(channel, names, units)
-
-
-def _record_estimate(log: Log, t: float, state: np.ndarray, truth: Truth, estimator: BallFilter) -> None:
-    """The estimated state now, and where the end effector is for it: estimated pose of the base, true forward kinematics."""
-    rotation = lie.euler_zyx_to_rotation(*state[2:5])
-    log.add("hand_estimated", t, [state[0], state[1], 0.0] + rotation @ truth.tool_in_base)
-    turned = lie.rotation_to_quaternion(rotation @ truth.tool_rotation_in_base)
-    log.add("hand_quaternion_estimated", t, turned)
-    log.add("estimate", t, state)
-    log.add("rolling_fault", t, float(any(not f.startswith("imu") for f in estimator.faults)))

@@ -20,7 +20,7 @@ from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
-from wbmpc.studies.minniti2019.task import IDEALIZATIONS, ball_system, record_rezero, robot_of
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS, RezeroRecord, ball_system, robot_of
 from wbmpc.studies.minniti2019.taskspace_figures import CONTROLLERS, metrics, plots
 
 NAME = "rezero-taskspace"
@@ -62,12 +62,13 @@ def drive(
     }  # fmt: skip
     system = ball_system(chosen, seed, robot.home[robot.state["arm"]], references(0))
     single, timing = Log(), system.timing
+    rows = RezeroRecord(single, system.plant, system.controller)
     log.label(f"wanted_{name}", ("x", "y", "z", "qw", "qx", "qy", "qz"), [*"mmm", *"1111"])
 
     def record(t: float, command: Any, plans: Any) -> None:
         for term, reference in references(now(t + timing.delay * timing.period)).items():
             system.mpc.reference[term] = reference
-        record_rezero(single, t, system.plant, system.controller, command.torque)
+        rows.add(t, command.torque)
         log.add(f"wanted_{name}", t, np.concatenate([places[now(t)], turns[now(t)]]))
 
     outcome = system.loop(times[-1] + settings.hold_time, record).run(progress)
