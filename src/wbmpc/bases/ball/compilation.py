@@ -15,6 +15,7 @@ _STEPS = (
     "sensor_step",
     "payload_step",
     "lean_step",
+    "push_step",
 )
 _PACKAGES = ("bases/ball", "estimation", "kernel")
 LIBRARY = Library(
