@@ -7,6 +7,7 @@ triangles it does not rock from one to another either.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -20,6 +21,8 @@ Triangle = tuple[int, int, int]
 
 #: Twice the area [m²] below which three feet stand on one line; distance [m] at which a point is on a line, by rounding.
 _FLAT, _ON_LINE = 1e-9, 1e-9
+#: Root of the sum of squares of the feet's distances [m] from a line on which they all stand, at most.
+_LINE = 1e-6
 
 
 def checked_feet(feet: ArrayLike) -> Array:
@@ -30,7 +33,10 @@ def checked_feet(feet: ArrayLike) -> Array:
         raise InputError(f"feet: at least 3 points (x, y) of finite numbers are needed, got {feet!r}") from None
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3 or not np.isfinite(points).all():
         raise InputError(f"feet: at least 3 points (x, y) of finite numbers are needed, got shape {points.shape}")
-    if np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6) < 2:
+    x, y = (points - points.mean(axis=0)).T
+    across, along, both = float(x @ x), float(y @ y), float(x @ y)
+    # the smaller eigenvalue: sum of squares of their distances from the line that is nearest to all
+    if 0.5 * (across + along - math.hypot(across - along, 2.0 * both)) <= _LINE**2:
         raise InputError("feet: all stand on one line, there is no support polygon")
     return points
 
@@ -42,13 +48,22 @@ def cross(a: Array, b: Array) -> Array:
 
 def hull(feet: ArrayLike) -> list[int]:
     """Indices of the feet (n, 2) on their convex hull, counter-clockwise (monotone chain); feet on an edge are left out."""
-    points = checked_feet(feet)
-    order = [int(i) for i in np.lexsort((points[:, 1], points[:, 0]))]
+    return _hull(checked_feet(feet))
+
+
+def _hull(points: Array) -> list[int]:
+    # one by one, Python's own numbers are several times as fast
+    rows = points.tolist()
+    order = sorted(range(len(rows)), key=rows.__getitem__)
+
+    def turn(a: int, b: int, c: int) -> float:
+        (ax, ay), (bx, by), (cx, cy) = rows[a], rows[b], rows[c]
+        return float((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
 
     def chain(indices: list[int]) -> list[int]:
         out: list[int] = []
         for i in indices:
-            while len(out) > 1 and cross(points[out[-1]] - points[out[-2]], points[i] - points[out[-2]]) <= _FLAT:
+            while len(out) > 1 and turn(out[-2], out[-1], i) <= _FLAT:
                 out.pop()
             out.append(i)
         return out[:-1]
@@ -58,7 +73,8 @@ def hull(feet: ArrayLike) -> list[int]:
 
 def support_polygon(feet: ArrayLike) -> Array:
     """Corners (m, 2) [m] of the convex hull of feet (n, 2), counter-clockwise."""
-    return checked_feet(feet)[hull(feet)]
+    points = checked_feet(feet)
+    return points[_hull(points)]
 
 
 def area(polygon: ArrayLike) -> float:
@@ -69,9 +85,14 @@ def area(polygon: ArrayLike) -> float:
 
 def edge_distances(polygon: ArrayLike, points: ArrayLike) -> Array:
     """Distances (..., m) [m] of points (..., 2) to the lines of a polygon's m edges, positive on the inner (left) side."""
-    p, q = np.asarray(polygon, float), np.asarray(points, float)[..., None, :]
-    along = np.roll(p, -1, axis=0) - p
-    return np.asarray(cross(along, q - p) / np.linalg.norm(along, axis=1))
+    return _edge_distances(np.asarray(polygon, float)[None], np.asarray(points, float))[..., 0, :]
+
+
+def _edge_distances(polygons: Array, points: Array) -> Array:
+    """Of points (..., 2) to those of n polygons (n, m, 2): (..., n, m)."""
+    along = np.roll(polygons, -1, axis=1) - polygons
+    offset = points[..., None, None, :] - polygons
+    return np.asarray(cross(along, offset) / np.hypot(along[..., 0], along[..., 1]))
 
 
 def margin(polygon: ArrayLike, points: ArrayLike) -> Array:
@@ -79,23 +100,32 @@ def margin(polygon: ArrayLike, points: ArrayLike) -> Array:
 
     Positive inside, negative outside; minus infinity for points that are not finite (no load on the ground).
     """
-    p, q = np.asarray(polygon, float), np.asarray(points, float)
-    known = np.isfinite(q).all(axis=-1)
-    q = np.where(known[..., None], q, 0.0)
-    inside = edge_distances(p, q).min(axis=-1)
-    along = np.roll(p, -1, axis=0) - p
-    offset = q[..., None, :] - p
+    return np.asarray(_margins(np.asarray(polygon, float)[None], np.asarray(points, float))[..., 0])
+
+
+def _margins(polygons: Array, points: Array) -> Array:
+    """Of points (..., 2) to n polygons (n, m, 2): (..., n)."""
+    known = np.asarray(np.isfinite(points).all(axis=-1))
+    q = np.where(known[..., None], points, 0.0)
+    inside = _edge_distances(polygons, q).min(axis=-1)
+    along = np.roll(polygons, -1, axis=1) - polygons
+    offset = q[..., None, None, :] - polygons
     share = np.clip(np.sum(offset * along, axis=-1) / np.sum(along * along, axis=-1), 0.0, 1.0)
-    outside = np.linalg.norm(offset - share[..., None] * along, axis=-1).min(axis=-1)
-    return np.asarray(np.where(known, np.where(inside >= 0.0, inside, -outside), -np.inf))
+    away = offset - share[..., None] * along
+    outside = np.hypot(away[..., 0], away[..., 1]).min(axis=-1)
+    return np.asarray(np.where(known[..., None], np.where(inside >= 0.0, inside, -outside), -np.inf))
 
 
 def support_triangles(feet: ArrayLike) -> list[Triangle]:
     """All triples of feet (n, 2) that are not on one line, each counter-clockwise, starting with its smallest index."""
-    points = checked_feet(feet)
-    found: list[Triangle] = []
-    for i, j, k in combinations(range(len(points)), 3):
-        turn = float(cross(points[j] - points[i], points[k] - points[i]))
+    return _support_triangles(checked_feet(feet))
+
+
+def _support_triangles(points: Array) -> list[Triangle]:
+    rows, found = points.tolist(), list[Triangle]()
+    for i, j, k in combinations(range(len(rows)), 3):
+        (ax, ay), (bx, by), (cx, cy) = rows[i], rows[j], rows[k]
+        turn = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if abs(turn) > _FLAT:
             found.append((i, j, k) if turn > 0.0 else (i, k, j))
     return found
@@ -124,8 +154,8 @@ def overlap_regions(feet: ArrayLike) -> list[Region]:
     Four feet of which none stands inside the triangle of the others: the four regions that the two diagonals cut, each
     in two triangles. Three feet: none.
     """
-    points, triangles = checked_feet(feet), support_triangles(feet)
-    pieces = [support_polygon(points)]
+    points = checked_feet(feet)
+    triangles, pieces = _support_triangles(points), [points[_hull(points)]]
     for i, j in combinations(range(len(points)), 2):
         if np.hypot(*(points[j] - points[i])) < _ON_LINE:  # two feet in one place
             continue
@@ -162,8 +192,14 @@ def _cut(polygon: Array, a: Array, b: Array) -> list[Array]:
 
 def triangle_margins(feet: ArrayLike, points: ArrayLike) -> dict[Triangle, Array]:
     """Signed distance (...) [m] of points (..., 2) to the border of each support triangle."""
-    corners = checked_feet(feet)
-    return {t: margin(corners[list(t)], points) for t in support_triangles(corners)}
+    triangles, margins = _triangle_margins(checked_feet(feet), points)
+    return {t: margins[..., k] for k, t in enumerate(triangles)}
+
+
+def _triangle_margins(feet: Array, points: ArrayLike) -> tuple[list[Triangle], Array]:
+    """Support triangles of feet (n, 2), and the distances (..., triangles) of points (..., 2)."""
+    triangles = _support_triangles(feet)
+    return triangles, _margins(feet[np.array(triangles)], np.asarray(points, float))
 
 
 def region_margin(feet: ArrayLike, points: ArrayLike) -> Array:
@@ -172,7 +208,8 @@ def region_margin(feet: ArrayLike, points: ArrayLike) -> Array:
     The smallest distance to an edge of the triangles the point is in: to the border of its region if that is convex. On an
     edge, as where two diagonals cross, it is 0. Negative outside the support polygon (the distance to it), as of :func:`margin`.
     """
-    inside = np.array(list(triangle_margins(feet, points).values()))
-    nearest = np.where(inside > -_ON_LINE, np.maximum(inside, 0.0), np.inf).min(axis=0)
-    outer = margin(support_polygon(feet), points)
+    corners = checked_feet(feet)
+    _, inside = _triangle_margins(corners, points)
+    nearest = np.where(inside > -_ON_LINE, np.maximum(inside, 0.0), np.inf).min(axis=-1)
+    outer = margin(corners[_hull(corners)], points)
     return np.asarray(np.where(outer > 0.0, np.minimum(nearest, outer), outer))
