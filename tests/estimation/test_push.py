@@ -68,3 +68,14 @@ def test_what_is_no_push_leaves_the_limit_as_it_is() -> None:
     push, _ = felt(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), 80)
     assert 0.02 < np.linalg.norm(push.drift) < DEAD
     np.testing.assert_array_equal(push.room, 0.0)
+
+
+def test_machine_code_finds_what_the_same_source_does_as_python() -> None:
+    rng = np.random.default_rng(2)
+    one, other = (PushEstimator(ROBOT, HOME, 0.2, backend) for backend in ("compiled", "interpreted"))
+    for _ in range(20):
+        x, u = ROBOT.home + 0.1 * rng.normal(size=ROBOT.home.size), rng.normal(size=6)
+        for push in (one, other):
+            push.update(x, u, H, lambda x, u, h: x)
+        np.testing.assert_allclose(one.drift, other.drift, rtol=1e-12)
+    assert np.linalg.norm(one.drift) > DEAD
