@@ -148,13 +148,10 @@ class World:
         """What :meth:`frames` reads, and its step."""
         d, (is_site, index) = self.data, self.site
         places, rotations = (d.site_xpos, d.site_xmat) if is_site else (d.xpos, d.xmat)
-        self._tool_now = places[index], rotations[index]
-        #: where the base and the tool are: views of the simulator's memory
-        self.frame_memory = {
-            "base": d.xpos[self.body], "rotation": d.xmat[self.body], "tool": places[index], "tool_rotation": rotations[index],
-        }  # fmt: skip
-        own = {"tool": np.zeros(3), "tool_rotation": np.zeros(9), "seen": np.zeros(3), "turned": np.zeros(9)}
-        self._frames = own | {"base": d.xpos[self.body], "rotation": d.xmat[self.body]}
+        #: where base and tool are: views of the simulator's memory
+        self.frame_memory = {"base": d.xpos[self.body], "rotation": d.xmat[self.body]}
+        self.frame_memory |= {"tool": places[index], "tool_rotation": rotations[index]}
+        self._frames = self.frame_memory | {"seen": np.zeros(3), "turned": np.zeros(9)}
         self._from_base: Callable[[], None] = bind(from_base, self._frames).call
 
     def _tool(self, name: str) -> tuple[bool, int]:
@@ -326,7 +323,6 @@ class World:
         """Base and tool as :class:`Truth` has them; ``height`` [m] of the planner's z = 0 above the floor."""
         self.refresh()
         a = self._frames
-        a["tool"][:], a["tool_rotation"][:] = self._tool_now
         self._from_base()
         tool = a["tool"].copy()
         tool[2] -= height

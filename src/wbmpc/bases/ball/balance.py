@@ -21,6 +21,8 @@ from wbmpc.model.robot import RobotModel
 Array = NDArray[np.float64]
 #: The base's coordinates (x, y, yaw, pitch, roll); the arm's come after them.
 BASE = 5
+#: Steps of the sign of a matrix, at most: it doubles its digits with each once it is near.
+SIGN_STEPS = 100
 
 
 def load_offset(base: BallBase, q: ca.SX, w: ca.SX | None = None) -> ca.SX:
@@ -88,17 +90,21 @@ def divergent(a: Array, offset: Array) -> tuple[float, Array]:
     """The mean pole [1/s] and the divergent component (2, 10) of ẋ = a x, of which two modes grow: ξ = component @ x obeys
     ξ̇ = Ω ξ, and its part by the angles is that of the ``offset`` (2, 2).
 
-    By an invariant subspace, not by eigenvectors: of two poles that are (nearly) the same, those are any pair.
+    By an invariant subspace, not by eigenvectors: of two poles that are (nearly) the same, those are any pair. Its projector is half of
+    one plus the sign of the matrix (Roberts 1980, by Newton's method).
     """
-    from scipy.linalg import schur  # slow to import
-
-    fastest = float(np.linalg.eigvals(a).real.max())
-    form, basis, count = schur(a.T, sort=lambda real, _: real > 0.5 * fastest)
+    poles = np.linalg.eigvals(a)
+    least = 0.5 * float(poles.real.max())
+    count, sign = int((poles.real > least).sum()), a - least * np.eye(len(a))
     if count != 2:
-        raise InputError(f"balance: {count} poles of the base grow, not two (pitch and roll): {np.linalg.eigvals(a)}")
-    left = basis[:, :2].T
+        raise InputError(f"balance: {count} poles of the base grow, not two (pitch and roll): {poles}")
+    for _ in range(SIGN_STEPS):
+        before, sign = sign, 0.5 * (sign + np.linalg.inv(sign))
+        if np.abs(sign - before).max() <= 1e-13 * np.abs(sign).max():
+            break
+    left = np.linalg.svd(sign + np.eye(len(a)))[2][:2]  # its rows
     scale = offset @ np.linalg.inv(left[:, 3:BASE])
-    return 0.5 * float(np.trace(form[:2, :2])), scale @ left
+    return 0.5 * float(np.trace(left @ a @ left.T)), scale @ left
 
 
 def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -122,9 +128,7 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
 
 
 def _support(effect: Array, limits: Array, spin: Array, maximum: float) -> float:
-    """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ maximum."""
-    from scipy.optimize import linprog
-
-    rows, bounds = (None, None) if not np.isfinite(maximum) else (np.vstack([spin, -spin]), [maximum, maximum])
-    found = linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits])
-    return float(-found.fun)
+    """Largest effect · τ over |τ| ≤ limits, |spin · τ| ≤ maximum: the least of limits · |effect − m spin| + maximum |m| over m, its dual,
+    which is at a kink."""
+    kinks = [0.0, *(effect[spin != 0.0] / spin[spin != 0.0])] if np.isfinite(maximum) else [0.0]
+    return min(float(limits @ np.abs(effect - m * spin)) + (maximum * abs(m) if m else 0.0) for m in kinks)

@@ -21,6 +21,7 @@ from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
+from wbmpc.estimation import chi_square
 from wbmpc.estimation.inertial import forget, gate_arrays
 from wbmpc.estimation.inertial_gate_step import FAULTS
 from wbmpc.kernel.step import Backend
@@ -53,11 +54,9 @@ class BallFilter:
         self.geometry, self.noise = geometry, noise
         position = np.array([*numbers("ball filter", "position", np.asarray(position)[:2], 2), 0.0])
         numbers("ball filter", "rotation", np.ravel(rotation), 9)
-        from scipy.special import chdtri  # slow to import
-
         self.freedom, self.surprise = n + 1, 0.0
         gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ GRAVITY)
-        self._gate = float(chdtri(self.freedom, GATE))
+        self._gate = chi_square.gate(self.freedom, GATE)
         constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "most": STALLED}
         self._memory = FilterMemory(geometry, noise, gate, backend, **constants)
         start = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))

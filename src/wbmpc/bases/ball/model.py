@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from wbmpc.ocp import Constraint
 
 Array = NDArray[np.float64]
+#: Newton's method for an equilibrium: largest force and torque [N, N m] that are left, largest change of the lean [rad] in a step, shortest
+#: step, and the condition of a matrix that counts as singular.
+EXACT, FAR, SHORTEST, SINGULAR = 1e-11, 0.2, 1e-3, 1e12
 _EULER = (("yaw", (0, 0, 1)), ("pitch", (0, 1, 0)), ("roll", (1, 0, 0)))
 
 
@@ -264,7 +267,6 @@ class BallNumeric:
         self._base, self._state = base, Layout(base.state)
         self._input, self._parameters = Layout(base.input).size, Layout(base.parameters).size
         self._numeric: dict[str, Numeric] = {}
-        self._functions: dict[str, ca.Function] = {}
         #: What :class:`wbmpc.bases.ball.balance.Balance` has found, by all that it depends on.
         self.balances: dict[tuple[object, ...], Any] = {}
 
@@ -303,39 +305,52 @@ class BallNumeric:
         return self._numeric["tau"](q, v, a)[0].ravel()
 
     def equilibrium(self, arm: ArrayLike, yaw: float = 0.0, force: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
-        """State (nx) and torques (wheels + arm) at which the robot rests with a force (3) [N] of the world on the tool."""
-        from scipy.optimize import root
+        """State (nx) and torques (wheels + arm) at which the robot rests with a force (3) [N] of the world on the tool.
 
-        base = self._base
+        Raises :class:`InputError` for other sizes, and where Newton's method finds none.
+        """
+        base, angles, push = self._base, np.asarray(arm, float), np.asarray(force, float)
         n = base.nq
-        if "rest" not in self._functions:
-            q, u, f = ca.SX.sym("q", n), ca.SX.sym("u", len(base.input["wheel"]) + n - 5), ca.SX.sym("f", 3)
-            inputs = ca.vertcat(u, ca.SX.zeros(self._input - u.shape[0]))
-            rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.tool_force(q, f)
-            rest -= base.generalized_force(q, inputs, ca.SX.zeros(self._parameters))
-            self._functions["rest"] = ca.Function("rest", [q, u, f], [rest])
-        rest_of, angles, push = self._functions["rest"], np.asarray(arm, float), np.asarray(force, float)
         if angles.shape != (n - 5,) or push.shape != (3,):
             raise InputError(f"{base.name}: an equilibrium needs {n - 5} arm angles and 3 forces")
-
-        def joints(z: Array) -> Array:
-            return np.concatenate([[0, 0, yaw], z[:2], angles])
-
-        # With more than three wheels the torques are not unique: the least-norm ones to a torque (3) on the ball.
-        wheels = np.linalg.pinv(base.wheel_torque_map())
-
-        def torques(z: Array) -> Array:
-            return np.concatenate([wheels @ z[2:5], z[5:]])
-
-        def unbalanced(z: Array) -> Array:
-            return np.array(rest_of(joints(z), torques(z), push)).ravel()
-
-        found = root(unbalanced, np.zeros(n), method="hybr", options={"xtol": 1e-14})
-        if np.abs(found.fun).max() > 1e-8:
+        given, z = np.array([yaw, *angles, *push]), np.zeros(n)
+        residual, slope = self._rest(z, given)
+        missed, share = float(np.abs(residual).max()), 1.0
+        while missed > EXACT and share > SHORTEST and np.linalg.cond(slope) < SINGULAR:
+            step = np.linalg.solve(slope, residual.ravel())
+            # the lean in small steps: there are others, far from the upright
+            trial = z - step * min(share, FAR / max(float(np.abs(step[:2]).max()), FAR))
+            after, its = self._rest(trial, given)
+            size = float(np.abs(after).max())
+            if size < missed:
+                z, residual, slope, missed, share = trial, after, its, size, 1.0
+            else:
+                share *= 0.5
+        if not missed <= 1e-8:
             raise InputError(f"{base.name}: no equilibrium for the arm at {angles} with force {push}")
         x = self._state.vector({})
-        x[:n] = joints(found.x)
-        return x, torques(found.x)
+        x[:n] = [0.0, 0.0, yaw, *z[:2], *angles]
+        return x, np.concatenate([self._least_torques @ z[2:5], z[5:]])
+
+    @cached_property
+    def _least_torques(self) -> Array:
+        """Torques (wheels) of the least norm for a torque (3) on the ball: with more than three wheels they are not unique."""
+        return np.asarray(np.linalg.pinv(self._base.wheel_torque_map()), float)
+
+    @cached_property
+    def _rest(self) -> Numeric:
+        """The generalized forces (nq) that are not balanced at rest, and their slope, by pitch, roll, torque on the ball (3) and torques of
+        the arm; given the yaw, the arm's angles and a force (3) on the tool."""
+        base = self._base
+        n = base.nq
+        z, given = ca.SX.sym("z", n), ca.SX.sym("given", 1 + n - 5 + 3)
+        q = ca.vertcat(0, 0, given[0], z[:2], given[1 : n - 4])
+        torques = ca.vertcat(ca.DM(self._least_torques) @ z[2:5], z[5:])
+        inputs = ca.vertcat(torques, ca.SX.zeros(self._input - torques.shape[0]))
+        rest = base.inverse_dynamics(q, ca.SX(n, 1), ca.SX(n, 1)) - base.tool_force(q, given[n - 4 :])
+        rest -= base.generalized_force(q, inputs, ca.SX.zeros(self._parameters))
+        parts = [ca.densify(rest), ca.densify(ca.jacobian(rest, z))]
+        return Numeric(ca.Function("rest", [z, given], parts))
 
 
 def ball_base(robot: RobotModel) -> BallBase:
