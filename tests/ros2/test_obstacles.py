@@ -269,6 +269,8 @@ BAD = {
         (cloud(np.zeros((9, 3)), fields=[{"name": n, "datatype": 7} for n in "xyz"]), "'x', 'y' and 'z' overlap"),
         (cloud(np.zeros((9, 3)), fields=[{"name": "x", "datatype": 7}] * 2 + cloud([])["fields"]), "two fields 'x', 'y' or 'z'"),
         ({"header": {"frame_id": "moon"}, **cloud(np.zeros((9, 3)))}, "moon"),
+        (cloud(np.full((9, 3), np.nan)), "none of the cloud's 9 points is a measurement"),
+        (cloud(np.array([[1.0, np.nan, 1.0], [np.inf, 0.0, 0.0]])), "none of the cloud's 2 points is a measurement"),
     ],
 }  # fmt: skip
 
