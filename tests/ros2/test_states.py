@@ -68,7 +68,7 @@ def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callab
         kind = "sensor_msgs/msg/Imu"
         body._take_imu(t.decode(kind, t.encode(kind, {"header": header(at, ""), "angular_velocity": {"z": rate}})))
 
-    read = lambda: float(body._averaged(body._joints[0].stamp).gyro[2])
+    read = lambda: float(body._inertial.averaged(body._joints[0].stamp).gyro[2])
     for at, rate in ((10.000, 1.0), (10.001, 2.0), (10.003, 8.0)):
         imu(at, rate)
     joints(10.001)
@@ -221,6 +221,35 @@ def test_a_single_stamp_ahead_does_not_count_for_who_would_fall(ahead: float) ->
 
     assert [read(at) for at in (5.0, 5.0 + ahead, 5.0025, 5.005)] == [True, False, True, True]
     assert [read(at) for at in (5.005 + ahead, 5.0075 + ahead)] == [False, True]
+
+
+@pytest.mark.parametrize("back", [0.5, 1000.0])
+def test_a_clock_that_is_set_back_lets_nobody_fall(back: float) -> None:
+    """Every message was rejected until its time was where it had been: the robot fell. The second message of the new time counts; what has
+    only been overtaken does not, however much of it there is, and neither does what repeats itself."""
+    robot = load_robot("rezero")
+    reader = JointReader(robot, settings_of(robot)(), confirmed=True)
+
+    def read(at: float) -> bool:
+        head = SimpleNamespace(stamp=SimpleNamespace(**header(at, "")["stamp"]))
+        try:
+            reader.read(SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head))
+        except InputError as error:
+            assert "their time went back by" in str(error)
+            return False
+        return True
+
+    start = 2000.0
+    assert [read(start + at) for at in (0.0, 0.01, 0.0025, 0.005, 0.0075, 0.0125)] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+        True,
+    ]
+    now = start + 0.0125 - back
+    assert [read(now + at) for at in (0.0, 0.0, 0.0025, 0.005)] == [False, False, True, True]
 
 
 def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its_first_commands() -> None:
