@@ -306,7 +306,7 @@ def test_another_odometry_and_brakes_of_nobody(robot: Any, looker: Any) -> None:
 
 
 def test_another_transform_of_the_base(robot: Any, looker: Any) -> None:
-    """A diff_drive_controller publishes it unless it is told not to; one of the controller itself, and those of links, are in order."""
+    """A diff_drive_controller publishes it by default; one of the controller itself, and those of links, are in order."""
     own = open_node("wbmpc", "dds", NETWORK)
     publishers = [n.publisher("/tf", "tf2_msgs/msg/TFMessage") for n in (own, robot)]
     end = threading.Event()
