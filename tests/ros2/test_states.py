@@ -24,7 +24,8 @@ if not MISSING:
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
-    from wbmpc.ros2.joints import JointReader
+    from wbmpc.ros2.inertial_readings import InertialReadings
+    from wbmpc.ros2.joints import Inertial, JointReader, mean_rate
     from wbmpc.ros2.localization import PoseSource
     from wbmpc.ros2.messages import types
     from wbmpc.ros2.request_queue import RequestQueue
@@ -250,6 +251,22 @@ def test_a_clock_that_is_set_back_lets_nobody_fall(back: float) -> None:
     ]
     now = start + 0.0125 - back
     assert [read(now + at) for at in (0.0, 0.0, 0.0025, 0.005)] == [False, False, True, True]
+
+
+def test_a_gyro_says_nothing_of_the_time_over_which_its_clock_was_set_back() -> None:
+    """A base that turns by 0.7 rad/s when all clocks are set back by 13 ms: what passed between the last reading and the next is not the
+    difference of their stamps, and the odometry turned by 9 mrad too little. By hand: the rate, where it is known; units without a
+    clock have stamps of 0."""
+    readings, turning = InertialReadings(BusClock(), 0.1), []
+    for k in range(12):
+        at = 5.0 + 0.0025 * k - (0.013 if k >= 6 else 0.0)
+        readings.put(at, Inertial(np.array([0.0, 0.0, 0.7]), np.zeros(3)))
+        found = readings.averaged(at)
+        assert found is not None
+        turning.append(None if found.turning is None else float(found.turning[2]))
+    assert turning[1:6] == [0.7] * 5 and turning[6] is None and turning[7:] == [0.7] * 5
+    rate = mean_rate([0.0, 0.0, 0.0], [np.full(3, r) for r in (0.1, 0.2, 0.3)], 0.1)
+    np.testing.assert_allclose(rate, np.full(3, 0.2))
 
 
 def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its_first_commands() -> None:

@@ -197,11 +197,12 @@ def mean_of(readings: Sequence[Inertial]) -> Inertial:
 
 def mean_rate(times: Sequence[float], rates: Sequence[np.ndarray], longest: float) -> np.ndarray | None:
     """Mean (3) [rad/s] of rates from the first of ``times`` [s] to the last, by trapezoids; None if one of the intervals is longer
-    than ``longest`` [s]. Times that do not rise (of a unit without a clock) count as evenly spaced."""
+    than ``longest`` [s], or times go back: of a clock that was set it is not known how much has passed. Times that stand still (of a
+    unit without a clock) count as evenly spaced."""
     steps = np.diff(times)
-    if steps.size == 0 or steps.max() > longest:
+    if steps.size == 0 or steps.max() > longest or steps.min() < 0.0:
         return None
-    if steps.min() <= 0.0:
+    if steps.min() == 0.0:
         steps = np.ones(steps.size)
     middles = np.array([0.5 * (a + b) for a, b in pairwise(rates)])
     return np.asarray(steps @ middles / steps.sum())
