@@ -142,7 +142,7 @@ def test_joint_states_that_come_late_let_no_robot_go_and_hold_one_that_balances(
         subscribe=lambda topic, kind, take, *_, **__: heard.update({topic: take}), publisher=lambda *_, **__: None
     )
     body = BusRobot(node, adapter, BallRosSettings(use_sim_time=True), clock)
-    body._inertial = Inertial(np.zeros(3), np.zeros(3)), 1.0
+    body._inertial.put(1.0, Inertial(np.zeros(3), np.zeros(3)))
     control: Any = SimpleNamespace(
         _other_publisher="", settings=body.settings, adapter=adapter, robot_io=body, running=True, _hold_reason="",
         source=SimpleNamespace(source=SimpleNamespace(settle=lambda: "")), obstacles=SimpleNamespace(lost=lambda: ""),
@@ -171,8 +171,9 @@ def test_readings_of_a_gyro_say_nothing_of_the_time_after_them(adapter: Any) -> 
             (1.3, (1.0, 1.01), covered),
             (1.02, (1.02,), True),
         ):
-            body._fresh = [(at, Inertial(np.ones(3), np.zeros(3))) for at in readings]
-            found = body._averaged(stamp_of_joints)
+            for at in readings:
+                body._inertial.put(at, Inertial(np.ones(3), np.zeros(3)))
+            found = body._inertial.averaged(stamp_of_joints)
             assert found is not None and (found.turning is not None) == known
 
 

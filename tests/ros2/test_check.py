@@ -305,6 +305,32 @@ def test_another_odometry_and_brakes_of_nobody(robot: Any, looker: Any) -> None:
     assert "controllers" not in found(looker)
 
 
+def test_another_transform_of_the_base(robot: Any, looker: Any) -> None:
+    """A diff_drive_controller publishes it by default; one of the controller itself, and those of links, are in order."""
+    own = open_node("wbmpc", "dds", NETWORK)
+    publishers = [n.publisher("/tf", "tf2_msgs/msg/TFMessage") for n in (own, robot)]
+    end = threading.Event()
+    children = ["base_link", "tool0"]
+
+    def send() -> None:
+        while not end.wait(0.02):
+            for publisher, child in zip(publishers, children, strict=True):
+                publisher.publish({"transforms": [{"header": header(1.0, "odom"), "child_frame_id": child}]})
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    try:
+        known(looker, ("/tf",))
+        assert "/tf" not in found(looker)
+        children[1] = "base_link"
+        level, text = found(looker)["/tf"]
+        assert level == "warning" and "another node says where 'base_link' is in 'odom'" in text
+    finally:
+        end.set()
+        thread.join()
+        own.close()
+
+
 def test_a_ball_robots_sensors_have_a_message_for_every_tick() -> None:
     from wbmpc.ros2.check import _balancing
 

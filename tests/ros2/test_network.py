@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+import socket
 import subprocess
 import sys
+import threading
 import time
+from typing import Any
 
 import pytest
 from needs import everything, needs_dds, private, wait_until
@@ -62,10 +65,10 @@ def test_a_wrong_variable_is_named(name: str, value: str, says: str) -> None:
 def test_a_peer_without_an_address_is_named(peer: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The middleware aborted the process."""
 
-    def resolve(host: str, *given: object) -> list[str]:
+    def resolve(host: str, *given: object) -> list[Any]:
         if host != "127.0.0.1":
             raise OSError("unknown")
-        return [host]
+        return [(socket.AF_INET, socket.SOCK_DGRAM, 17, "", (host, 0))]
 
     from wbmpc.ros2 import dds_domain
 
@@ -73,6 +76,32 @@ def test_a_peer_without_an_address_is_named(peer: str, monkeypatch: pytest.Monke
     monkeypatch.setattr(dds_domain, "Domain", lambda *given: pytest.fail("the middleware got it"))
     with pytest.raises(InputError, match=f"ROS_STATIC_PEERS: '{re.escape(peer)}' has no address"):
         dds_domain._opened(Network(peers=("127.0.0.1:7410", peer)))
+
+
+@needs_dds
+def test_names_of_peers_are_looked_up_once_and_not_forever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name server that does not answer kept the node from starting, deaf to Ctrl-C, for as long as the system's resolver likes. And the
+    middleware, which aborts the process where a name has no address, looked up again what had been found before."""
+    from wbmpc.ros2 import dds_domain
+
+    answered, configurations = threading.Event(), []
+
+    def resolve(host: str, *given: object) -> list[Any]:
+        if host == "slow":
+            answered.wait(60.0)
+        return [(socket.AF_INET, socket.SOCK_DGRAM, 17, "", ("192.0.2.7", 0))]
+
+    monkeypatch.setattr(dds_domain.socket, "getaddrinfo", resolve)
+    monkeypatch.setattr(dds_domain, "RESOLVED", 0.2)
+    monkeypatch.setattr(dds_domain, "Domain", lambda domain, given: configurations.append(given))
+    dds_domain._opened(Network(peers=("robot:7410", "robot")))
+    (configuration,) = configurations
+    assert re.findall('Peer address="([^"]*)"', configuration) == ["192.0.2.7:7410", "192.0.2.7"]
+    begin = time.monotonic()
+    with pytest.raises(InputError, match="ROS_STATIC_PEERS: 'slow' was not found within"):
+        dds_domain._opened(Network(peers=("robot", "slow")))
+    assert time.monotonic() - begin < 20.0
+    answered.set()
 
 
 def heard(one: dict[str, str], other: dict[str, str], seconds: float = 0.7) -> bool:
@@ -104,6 +133,7 @@ def test_one_process_has_one_configuration_of_a_domain() -> None:
 
 VICTIM = """
 import time
+from typing import Any
 from wbmpc.ros2 import open_node
 node = open_node("victim", "dds")
 publisher = node.publisher("/victim", "std_msgs/msg/String")
@@ -149,6 +179,7 @@ print("found" if time.monotonic() < end else "not found")
 """
 EARLY = """
 import time
+from typing import Any
 from wbmpc.ros2 import open_node
 publisher = open_node("early", "dds").publisher("/early", "std_msgs/msg/String")
 print("there", flush=True)

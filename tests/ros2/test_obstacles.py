@@ -18,6 +18,7 @@ from wbmpc.ros2.network import Network
 from wbmpc.ros2.obstacles import ObstacleTopics
 from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.settings import OBSTACLE_TYPES, RosSettings
+from wbmpc.ros2.transforms import FIXED, KIND, Transforms
 
 pytestmark = needs_dds
 if not MISSING:
@@ -269,6 +270,8 @@ BAD = {
         (cloud(np.zeros((9, 3)), fields=[{"name": n, "datatype": 7} for n in "xyz"]), "'x', 'y' and 'z' overlap"),
         (cloud(np.zeros((9, 3)), fields=[{"name": "x", "datatype": 7}] * 2 + cloud([])["fields"]), "two fields 'x', 'y' or 'z'"),
         ({"header": {"frame_id": "moon"}, **cloud(np.zeros((9, 3)))}, "moon"),
+        (cloud(np.full((9, 3), np.nan)), "none of the cloud's 9 points is a measurement"),
+        (cloud(np.array([[1.0, np.nan, 1.0], [np.inf, 0.0, 0.0]])), "none of the cloud's 2 points is a measurement"),
     ],
 }  # fmt: skip
 
@@ -433,5 +436,26 @@ def test_a_flood_on_a_topic_of_obstacles_is_not_decoded(monkeypatch: pytest.Monk
         assert decoded.count(kind) <= 20
     finally:
         topics.close()
+        node.close()
+        other.close()
+
+
+def test_transforms_wait_for_the_nodes_own_thread_and_no_fixed_one_is_lost() -> None:
+    """Messages of 600 frames, 200 a second, kept joint states from arriving for 1.6 s: one thread brings both. Truth: the frames that were
+    sent; the names of what waits."""
+    network = Network.of(private())
+    node, other = open_node("control", "dds", network), open_node("other", "dds", network)
+    frames = Transforms(node, "odom", "base_link", lambda: 100.0)
+    try:
+        moving, fixed = other.publisher("/tf", KIND), other.publisher("/tf_static", KIND, FIXED)
+        assert wait_until(lambda: all(p._writer.get_matched_subscriptions() for p in (moving, fixed)))
+        for k in range(60):
+            fixed.publish({"transforms": [transform("odom", f"fixed{k}")]})
+        moving.publish({"transforms": [transform("odom", "moving")]})
+        waiting = lambda topic: len(node._deferred._waiting.get(topic, ()))
+        assert wait_until(lambda: waiting("/tf") == 1 and waiting("/tf_static") == 60) and not frames._frames
+        expected = {"moving", *(f"fixed{k}" for k in range(60))}
+        assert wait_until(lambda: (node.work(), set(frames._frames) == expected)[1])
+    finally:
         node.close()
         other.close()

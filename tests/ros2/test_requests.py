@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,14 @@ import pytest
 from needs import MISSING, needs_dds
 
 from effort import some
+from wbmpc import lie
+from wbmpc.errors import InputError
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.convert import planar, planar_path, read_pose, read_poses
+from wbmpc.ros2.goals import Planner
 from wbmpc.ros2.opening import open_node
+from wbmpc.ros2.request_queue import RequestQueue
+from wbmpc.ros2.settings import settings_of
 from wbmpc.ros2.statistics import rejections
 
 pytestmark = needs_dds
@@ -226,6 +234,57 @@ def test_a_path_of_another_clock_or_with_poses_in_another_frame_is_rejected(pair
         p.send("/base_path", "nav_msgs/msg/Path", {"header": {"frame_id": "odom"}, "poses": poses})
         assert p.until(lambda t=says: t in p.control.request_queue.rejected), p.control.request_queue.rejected
         assert p.control.active_task is task and p.control.running
+
+
+def test_a_long_path_is_read_at_once() -> None:
+    """The node's own thread reads it, and publishes nothing meanwhile: one by one, 20 000 poses took two seconds. Truth: poses one by one, on
+    a way that turns; the time of the processor that this takes. What is wrong with one says which it is."""
+    rng = np.random.default_rng(3)
+    n, numbers = 3000, lambda names, row: SimpleNamespace(**dict(zip(names, map(float, row), strict=True)))
+    turned = rng.normal(size=(n, 4))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    rows = zip(rng.normal(size=(n, 3)), turned, strict=True)
+    poses: list[Any] = [SimpleNamespace(position=numbers("xyz", p), orientation=numbers("wxyz", q)) for p, q in rows]
+    begin = time.process_time()
+    pairs = [read_pose(p, "a pose") for p in poses]
+    planar_poses = [planar(*pair) for pair in pairs]
+    middle = time.process_time()
+    positions, orientations = read_poses(poses, "pose {} of the path")
+    found = planar_path(positions, orientations)
+    end = time.process_time()
+    np.testing.assert_allclose(positions, [p for p, _ in pairs], atol=1e-15)
+    np.testing.assert_allclose(orientations, [q for _, q in pairs], atol=1e-15)
+    np.testing.assert_allclose(found, planar_poses, atol=1e-12)
+    assert end - middle < 0.4 * (middle - begin)
+    for k, wrong, says in ((7, np.nan, "not finite"), (8, 1e8, "too large"), (9, None, "quaternion has length 0")):
+        if wrong is None:
+            poses[k].orientation = numbers("wxyz", np.zeros(4))
+        else:
+            poses[k].position.y = wrong
+        with pytest.raises(InputError, match=f"pose {k} of the path.*{says}"):
+            read_poses(poses, "pose {} of the path")
+        poses[k] = poses[0]
+
+
+def test_a_path_in_the_bases_frame_is_moved_as_its_poses_are() -> None:
+    """Truth: the base's rotation about the vertical, as a matrix."""
+    robot = load_robot("differential-ur10")
+    settings = settings_of(robot)()
+    node: Any = SimpleNamespace(subscribe=lambda *given, **also: None)
+    queue = RequestQueue(node, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, time.monotonic)
+    rng, x = np.random.default_rng(4), robot.home.copy()
+    x[robot.state["base"]] = [1.0, -2.0, 0.7]
+    positions, turned = rng.normal(size=(9, 3)), rng.normal(size=(9, 4))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn, height = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), queue.planner.base_height
+    down = np.array([0.0, 0.0, queue.planner.lift])
+    moved, orientations = queue._in_world("base_link", x, positions, turned)
+    np.testing.assert_allclose(moved, [np.array([1.0, -2.0, height]) + turn @ p - down for p in positions], atol=1e-12)
+    rotation = lie.quaternion_to_rotation
+    for q, was in zip(orientations, turned, strict=True):
+        np.testing.assert_allclose(rotation(q), turn @ rotation(was), atol=1e-12)
+    np.testing.assert_allclose(queue._in_world("odom", x, positions, turned)[0], positions - down, atol=1e-15)
 
 
 def test_a_flood_of_goals_is_a_few_log_lines(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:

@@ -24,7 +24,8 @@ if not MISSING:
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
-    from wbmpc.ros2.joints import JointReader
+    from wbmpc.ros2.inertial_readings import InertialReadings
+    from wbmpc.ros2.joints import Inertial, JointReader, mean_rate
     from wbmpc.ros2.localization import PoseSource
     from wbmpc.ros2.messages import types
     from wbmpc.ros2.request_queue import RequestQueue
@@ -68,7 +69,7 @@ def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callab
         kind = "sensor_msgs/msg/Imu"
         body._take_imu(t.decode(kind, t.encode(kind, {"header": header(at, ""), "angular_velocity": {"z": rate}})))
 
-    read = lambda: float(body._averaged(body._joints[0].stamp).gyro[2])
+    read = lambda: float(body._inertial.averaged(body._joints[0].stamp).gyro[2])
     for at, rate in ((10.000, 1.0), (10.001, 2.0), (10.003, 8.0)):
         imu(at, rate)
     joints(10.001)
@@ -221,6 +222,51 @@ def test_a_single_stamp_ahead_does_not_count_for_who_would_fall(ahead: float) ->
 
     assert [read(at) for at in (5.0, 5.0 + ahead, 5.0025, 5.005)] == [True, False, True, True]
     assert [read(at) for at in (5.005 + ahead, 5.0075 + ahead)] == [False, True]
+
+
+@pytest.mark.parametrize("back", [0.5, 1000.0])
+def test_a_clock_that_is_set_back_lets_nobody_fall(back: float) -> None:
+    """Every message was rejected until its time was where it had been: the robot fell. The second message of the new time counts; what has
+    only been overtaken does not, however much of it there is, and neither does what repeats itself."""
+    robot = load_robot("rezero")
+    reader = JointReader(robot, settings_of(robot)(), confirmed=True)
+
+    def read(at: float) -> bool:
+        head = SimpleNamespace(stamp=SimpleNamespace(**header(at, "")["stamp"]))
+        try:
+            reader.read(SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head))
+        except InputError as error:
+            assert "their time went back by" in str(error)
+            return False
+        return True
+
+    start = 2000.0
+    assert [read(start + at) for at in (0.0, 0.01, 0.0025, 0.005, 0.0075, 0.0125)] == [
+        True,
+        True,
+        False,
+        False,
+        False,
+        True,
+    ]
+    now = start + 0.0125 - back
+    assert [read(now + at) for at in (0.0, 0.0, 0.0025, 0.005)] == [False, False, True, True]
+
+
+def test_a_gyro_says_nothing_of_the_time_over_which_its_clock_was_set_back() -> None:
+    """A base that turns by 0.7 rad/s when all clocks are set back by 13 ms: what passed between the last reading and the next is not the
+    difference of their stamps, and the odometry turned by 9 mrad too little. By hand: the rate, where it is known; units without a
+    clock have stamps of 0."""
+    readings, turning = InertialReadings(BusClock(), 0.1), []
+    for k in range(12):
+        at = 5.0 + 0.0025 * k - (0.013 if k >= 6 else 0.0)
+        readings.put(at, Inertial(np.array([0.0, 0.0, 0.7]), np.zeros(3)))
+        found = readings.averaged(at)
+        assert found is not None
+        turning.append(None if found.turning is None else float(found.turning[2]))
+    assert turning[1:6] == [0.7] * 5 and turning[6] is None and turning[7:] == [0.7] * 5
+    rate = mean_rate([0.0, 0.0, 0.0], [np.full(3, r) for r in (0.1, 0.2, 0.3)], 0.1)
+    np.testing.assert_allclose(rate, np.full(3, 0.2))
 
 
 def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its_first_commands() -> None:

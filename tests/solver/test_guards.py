@@ -320,6 +320,38 @@ def test_a_handler_that_solves_in_the_middle_of_a_solve_is_an_error(what: str, m
     assert came
 
 
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("name", ["warm_start", "use", "reset"])
+def test_a_handler_that_changes_the_memory_of_a_solve_is_an_error(
+    name: str, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its guess was returned as the converged solution. Truth: a solver without a handler, twice, as slacks are kept."""
+    problem = cartpole(10)
+    one, plain = (Solver(problem.ocp, SQP(backend=backend)) for _ in range(2))  # type: ignore[arg-type]
+    given = {"warm_start": (np.ones(4),), "use": (np.ones((11, 4)), np.ones((10, 1))), "reset": ()}[name]
+    came: list[int] = []
+
+    def handler(*_: object) -> None:
+        with pytest.raises(SolverBusy, match=r"called before Solver\.solve has ended"):
+            getattr(one, name)(*given)
+        came.append(1)
+
+    read, previous = one.solution, signal.signal(signal.SIGUSR1, handler)
+
+    def interrupted(*outcome: float) -> object:
+        signal.raise_signal(signal.SIGUSR1)
+        return read(*outcome)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(one, "solution", interrupted)
+    try:
+        for x0 in (problem.x0, 1.1 * problem.x0):
+            np.testing.assert_array_equal(one.solve(x0).x, plain.solve(x0).x)
+    finally:
+        signal.signal(signal.SIGUSR1, previous)
+    assert len(came) == 2
+    getattr(one, name)(*given)  # afterwards it may
+
+
 def test_a_guess_that_calls_its_own_update_is_one_error_and_the_mpc_goes_on() -> None:
     """Truth: an MPC without a guess."""
     lq = LinearQuadratic(4, 2, 0, n=10)

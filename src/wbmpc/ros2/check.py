@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, printable
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_driver import BaseWay
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
@@ -17,6 +17,7 @@ from wbmpc.ros2.convert import seconds
 from wbmpc.ros2.joints import JointReader, read_imu
 from wbmpc.ros2.localization import POSE_AGE, PoseSource
 from wbmpc.ros2.settings import OBSTACLE_TYPES, REQUEST_TYPES, Controller, RosSettings
+from wbmpc.ros2.transforms import KIND, MOVING, TF
 
 OK, WARNING, ERROR = "ok", "warning", "error"
 #: Joint states slower than this [Hz] make a poor estimate; a watchdog needs this many messages within its time.
@@ -72,6 +73,28 @@ class _Ear:
         return len(self.stamps) > 2 and self.stamps[0] == self.stamps[-1] > 0.0
 
 
+class _PlacesOfBase:
+    """Who says on /tf where the frame ``base`` is."""
+
+    def __init__(self, node: Node, base: str) -> None:
+        self._base, self._parents = base, dict[Any, str]()
+        node.subscribe(TF, KIND, self._take, MOVING, sourced=True)
+
+    def _take(self, message: Any, source: Any = None) -> None:
+        for transform in message.transforms:
+            if transform.child_frame_id == self._base:
+                self._parents[source] = str(transform.header.frame_id)
+
+    def findings(self, node: Node, ours: str) -> list[Finding]:
+        """Of those that are not the controller ``ours``."""
+        there = any(node.owner(e) == ours for e in node.publishers(TF))
+        if len(self._parents) <= there:
+            return []
+        parent = printable(next(iter(self._parents.values())))
+        text = f"another node says where '{self._base}' is in '{parent}', as the controller will: two odometries mix"
+        return [Finding(WARNING, TF, f"{text} (diff_drive_controller: enable_odom_tf: false)")]
+
+
 def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 3.0) -> list[Finding]:
     """Listen for ``listen`` [s] and say what was found; sends nothing."""
     topics, reader = settings.topics, JointReader(robot, settings)
@@ -83,6 +106,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     target["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in target.items()}
     poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None
+    places = _PlacesOfBase(node, settings.frames.base)
     described: list[str] = []
     node.subscribe("/robot_description", "std_msgs/msg/String", lambda m: described.append(m.data), LATCHED)
     silent, begin = 0.0, time.monotonic()
@@ -105,7 +129,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
     for controller in controllers.values():
         found += _sink(node, controller, settings.node, needed="brake" not in controller.topic)
     found += _brakes(robot, controllers)
-    found += _other_odometry(node, topics.odom, settings.node)
+    found += _other_odometry(node, topics.odom, settings.node) + places.findings(node, settings.node)
     found += _several_types(node, topics.cmd_vel, ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"), False)
     for key, kind in {**REQUEST_TYPES, **OBSTACLE_TYPES}.items():
         found += _order(node, getattr(topics, key), kind)

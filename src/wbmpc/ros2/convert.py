@@ -16,6 +16,8 @@ Array = np.ndarray
 LONGEST = 300
 #: No position [m, rad], speed or force is farther from 0, nor the turns of a wheel: what follows would overflow.
 LARGEST_NUMBER = 1e7
+#: A quaternion's length that is off by less is rounding; what is off by more is asked for one by one.
+_ROUNDING = 5e-3
 #: The first and the last second that a stamp can say.
 _FIRST, _LAST = -(2**31), 2**31 - 1
 
@@ -77,10 +79,30 @@ def read_pose(p: Any, what: str) -> tuple[Array, Array]:
     return read_vector(p.position, what), unit_quaternions(what, q)
 
 
+def read_poses(poses: Sequence[Any], what: str) -> tuple[Array, Array]:
+    """Positions (n, 3) [m] and unit quaternions (n, 4) of n poses: :func:`read_pose` of each, but all at once, for a path may have
+    thousands. An error is that of the first one that is wrong; ``what`` may name its number ({})."""
+    vectors = [
+        (p.position.x, p.position.y, p.position.z, *(getattr(p.orientation, n) for n in lie.PARTS)) for p in poses
+    ]
+    values = np.array(vectors, float).reshape(-1, 7)
+    with np.errstate(all="ignore"):
+        near = np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1.0) <= _ROUNDING
+    for k in np.flatnonzero(~(near & (np.abs(values) <= LARGEST_NUMBER).all(axis=1))):
+        read_pose(poses[int(k)], what.format(k))
+    return values[:, :3], unit_quaternions(what, values[:, 3:])
+
+
 def planar(position: Array, orientation: Array) -> Array:
     """(x, y, yaw) of a pose."""
     yaw = lie.rotation_to_euler_zyx(lie.quaternion_to_rotation(orientation))[0]
     return np.array([position[0], position[1], yaw])
+
+
+def planar_path(positions: Array, orientations: Array) -> Array:
+    """(x, y, yaw) (n, 3) of poses: positions (n, 3), quaternions (n, 4)."""
+    turned = lie.quaternion_to_rotation(np.transpose(orientations))
+    return np.column_stack([positions[:, :2], np.arctan2(turned[1, 0], turned[0, 0])])
 
 
 def nearest_angle(yaw: float, to: float) -> float:

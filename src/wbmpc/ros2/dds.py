@@ -37,7 +37,7 @@ from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos
 from wbmpc.ros2.dds_source import FilteredTopic, cannot_talk, gets_answers, matched
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
-from wbmpc.ros2.deferred import Deferred
+from wbmpc.ros2.deferred import Deferred, most
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.network import Network
@@ -130,7 +130,7 @@ class DdsNode:
                 for data, handle in self._small(name, reader, largest):
                     source = filtered.writer(reader, handle) if filtered is not None else None
                     if deferred:
-                        self._deferred.put(name, call, (data, source), len(data))
+                        self._deferred.put(name, call, (data, source), len(data), most(qos))
                     else:
                         call((data, source))
 

@@ -12,7 +12,9 @@ import ctypes
 import re
 import socket
 import threading
-from dataclasses import dataclass, field
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 from cyclonedds.core import DDSException, Policy
 from cyclonedds.core import Qos as DdsQos
@@ -25,6 +27,8 @@ from wbmpc.ros2.network import Network
 
 #: Fatal and other errors in the middleware's own log; its warnings are the other bit. One comes with every malformed message.
 _ERRORS = 1 | 2
+#: So long [s] addresses of peers are looked for.
+RESOLVED = 5.0
 _DOMAINS: dict[int, tuple[Network, Domain]] = {}
 _LOCK = threading.Lock()
 
@@ -84,26 +88,39 @@ def open_domain(network: Network) -> None:
             raise InputError(f"DDS: domain {network.domain} is open in this process with other settings")
 
 
-def _check_peers(peers: tuple[str, ...]) -> None:
-    """Raise :class:`InputError` for a peer (HOST or HOST:PORT) that has no address: the middleware would abort the process."""
-    for peer in peers:
-        parts = re.fullmatch(r"([^\s:/,]+)(?::([0-9]{1,5}))?", peer)
-        host, port = ("", 0) if parts is None else (parts[1], int(parts[2] or 0))
-        try:
-            known = bool(host) and port < 2**16 and bool(socket.getaddrinfo(host, None, socket.AF_INET))
-        except (OSError, UnicodeError):
-            known = False
-        if not known:
-            raise InputError(
-                f"ROS_STATIC_PEERS: '{peer[:300]}' has no address that is known here; valid: HOST or HOST:PORT"
-            )
+def _addresses(peers: tuple[str, ...]) -> tuple[str, ...]:
+    """Peers (HOST or HOST:PORT) as ADDRESS or ADDRESS:PORT. Raises :class:`InputError` for one that has no address, for which the
+    middleware would abort the process, and where name servers do not answer within :data:`RESOLVED`."""
+    parts = [re.fullmatch(r"([^\s:/,]+)(?::([0-9]{1,5}))?", peer) for peer in peers]
+    names = ["" if p is None or int(p[2] or 0) >= 2**16 else p[1] for p in parts]
+    hosts = dict.fromkeys(filter(None, names), "")
+
+    def resolve(host: str) -> None:
+        with suppress(OSError, UnicodeError, IndexError):
+            hosts[host] = str(socket.getaddrinfo(host, None, socket.AF_INET)[0][4][0])
+
+    # neither a signal nor a time limit ends the system's own look-up: each has a thread that the process does not wait for
+    looking = {host: threading.Thread(target=resolve, args=[host], daemon=True) for host in hosts}
+    for thread in looking.values():
+        thread.start()
+    end = time.monotonic() + RESOLVED
+    for thread in looking.values():
+        thread.join(max(end - time.monotonic(), 0.0))
+    found = []
+    for peer, host in zip(peers, names, strict=True):
+        if not hosts.get(host):
+            waits = host in looking and looking[host].is_alive()
+            why = f"was not found within {RESOLVED:g} s" if waits else "has no address that is known here"
+            raise InputError(f"ROS_STATIC_PEERS: '{peer[:300]}' {why}; valid: HOST or HOST:PORT")
+        found.append(hosts[host] + peer[len(host) :])
+    return tuple(found)
 
 
 def _opened(network: Network) -> Domain:
     """The middleware writes its log to stderr, at any rate and from its own threads: without its warnings, unless CYCLONEDDS_URI
     asks for a trace."""
     if network.reach in ("SUBNET", "LOCALHOST"):  # else they are not asked
-        _check_peers(network.peers)
+        network = replace(network, peers=_addresses(network.peers))
     try:
         domain = Domain(network.domain, network.cyclone())
     except (DDSException, UnicodeEncodeError) as error:

@@ -8,11 +8,18 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from wbmpc.ros2.bus import Qos
+
 #: Of more messages of one topic, or bytes of them, the oldest are dropped; but the newest one is kept whatever its size.
 MAX_MESSAGES, MAX_BYTES = 20, 2**23
 #: No more messages are begun after so long [s]: the node has other things to look after.
 BUDGET = 0.02
 Call = Callable[[Any], None]
+
+
+def most(qos: Qos) -> int:
+    """So many messages of a subscription wait: where late joiners get the last ones, all of these."""
+    return max(qos.depth, MAX_MESSAGES) if qos.latched else MAX_MESSAGES
 
 
 class Deferred:
@@ -23,10 +30,10 @@ class Deferred:
         self._lock = threading.Lock()
         self._number = 0
 
-    def put(self, topic: str, call: Call, message: Any, size: int = 0) -> None:
-        """Keep a message of ``size`` bytes."""
+    def put(self, topic: str, call: Call, message: Any, size: int = 0, most: int = MAX_MESSAGES) -> None:
+        """Keep a message of ``size`` bytes, and of its topic's ``most``."""
         with self._lock:
-            waiting = self._waiting.setdefault(topic, deque(maxlen=MAX_MESSAGES))
+            waiting = self._waiting.setdefault(topic, deque(maxlen=most))
             waiting.append((self._number, call, message, size))
             self._number += 1
             while len(waiting) > 1 and sum(w[3] for w in waiting) > MAX_BYTES:

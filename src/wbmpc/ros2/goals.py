@@ -317,11 +317,6 @@ def end_effector_track(
     )
 
 
-def planar_path(positions: Array, orientations: Array) -> Array:
-    """Planar poses (n, 3) of poses."""
-    return np.array([planar(p, q) for p, q in zip(positions, orientations, strict=True)])
-
-
 def _turned(yaw: float) -> Array:
     """(2, 2): from the axes of a base to those of the world."""
     c, s = np.cos(yaw), np.sin(yaw)

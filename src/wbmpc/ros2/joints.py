@@ -18,6 +18,9 @@ from wbmpc.ros2.settings import RosSettings, joint_groups
 SPEED_FACTOR, SPEED_REST = 2.0, 0.05
 #: So long [s] joints that go on may not have been heard where their time went back.
 _MISSED = 0.1
+#: Time that goes back by more than this [s] is of another clock: a simulator that was restarted, or a clock that was set. Less is a
+#: message that another one has overtaken.
+OVERTAKEN = 0.02
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
 _AGREE = 0.3
 
@@ -50,8 +53,9 @@ class JointSample:
 class JointReader:
     """JointState messages to samples; what is wrong with a message is an :class:`InputError`.
 
-    ``confirmed``: of a robot that falls when its states are missing only the first message of a jump, also of its time ahead, is
-    wrong: a second one that agrees with it is true, for joints of a robot that is hit move faster than their drives can.
+    ``confirmed``: of a robot that falls when its states are missing only the first message of a jump, also of its time, is
+    wrong: a second one that agrees with it is true, for joints of a robot that is hit move faster than their drives can, and the
+    clock of its computer may be set.
     """
 
     def __init__(self, robot: RobotModel, settings: RosSettings, confirmed: bool = False) -> None:
@@ -122,14 +126,15 @@ class JointReader:
         if self._last is None:
             return
         interval, moved = stamp - self._last[0], np.abs(values - self._last[1])
-        if interval < 0.0:
-            raise InputError(f"joint states: their time went back by {-interval:.3f} s")
         far = moved - (SPEED_FACTOR * self._speed * interval + SPEED_REST)
         doubted, self._doubted = self._doubted, (stamp, values)
-        if self._confirmed and doubted is not None:
-            near = abs(stamp - doubted[0]) <= self._gap
+        # what only overtook others on its way is no clock that was set back
+        if self._confirmed and doubted is not None and not -OVERTAKEN <= interval < 0.0:
+            near = 0.0 <= stamp - doubted[0] <= self._gap and (interval >= 0.0 or stamp > doubted[0])
             if near and np.abs(values - doubted[1]).max() < _AGREE:
                 return
+        if interval < 0.0:
+            raise InputError(f"joint states: their time went back by {-interval:.3f} s")
         if self._confirmed and interval > self._gap:
             raise InputError(f"joint states: their time jumped ahead by {interval:.3g} s")
         if np.any(far > 0.0):
@@ -192,11 +197,12 @@ def mean_of(readings: Sequence[Inertial]) -> Inertial:
 
 def mean_rate(times: Sequence[float], rates: Sequence[np.ndarray], longest: float) -> np.ndarray | None:
     """Mean (3) [rad/s] of rates from the first of ``times`` [s] to the last, by trapezoids; None if one of the intervals is longer
-    than ``longest`` [s]. Times that do not rise (of a unit without a clock) count as evenly spaced."""
+    than ``longest`` [s], or times go back: of a clock that was set it is not known how much has passed. Times that stand still (of a
+    unit without a clock) count as evenly spaced."""
     steps = np.diff(times)
-    if steps.size == 0 or steps.max() > longest:
+    if steps.size == 0 or steps.max() > longest or steps.min() < 0.0:
         return None
-    if steps.min() <= 0.0:
+    if steps.min() == 0.0:
         steps = np.ones(steps.size)
     middles = np.array([0.5 * (a + b) for a, b in pairwise(rates)])
     return np.asarray(steps @ middles / steps.sum())

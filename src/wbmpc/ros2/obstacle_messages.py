@@ -94,7 +94,8 @@ def read_occupancy(message: Any, occupied: int, unknown: bool, height: float) ->
 
 
 def read_points(message: Any) -> Array:
-    """Points (n, 3) of a sensor_msgs/PointCloud2; those that are not finite are no measurements. Raises :class:`InputError`."""
+    """Points (n, 3) of a sensor_msgs/PointCloud2; those that are not finite are no measurements: of a cloud of such ones alone, as
+    of a camera whose lens is covered, it is not known what is free. Raises :class:`InputError`."""
     count, step, row = int(message.width) * int(message.height), int(message.point_step), int(message.row_step)
     if count > MAX_POINTS:
         raise InputError(f"a cloud of {count} points; valid: at most {MAX_POINTS}")
@@ -123,7 +124,10 @@ def read_points(message: Any) -> Array:
     data = np.frombuffer(bytes(message.data), np.uint8).reshape(int(message.height), row)
     packed = np.ascontiguousarray(data[:, : int(message.width) * step]).view(layout).reshape(-1)
     points = np.stack([packed[a].astype(float) for a in "xyz"], axis=1)
-    return points[(np.abs(points) < LARGEST_NUMBER).all(axis=1)]  # not of those that are not numbers
+    measured = (np.abs(points) < LARGEST_NUMBER).all(axis=1)  # False where one is not a number
+    if not measured.any():
+        raise InputError(f"none of the cloud's {count} points is a measurement: is the sensor covered?")
+    return points[measured]
 
 
 def read_transform(message: Any) -> tuple[str, str, Array, Array]:

@@ -14,8 +14,8 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
-from wbmpc.ros2.convert import error_message, planar, read_pose, read_vector, seconds
-from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track, planar_path
+from wbmpc.ros2.convert import error_message, planar, planar_path, read_pose, read_poses, read_vector, seconds
+from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 
@@ -151,7 +151,7 @@ class RequestQueue:
         self._check_floor(frame, positions)
 
         def request(x: Array, t: float) -> Task:
-            poses = planar_path(*self._all_in_world(frame, x, positions, turned))
+            poses = planar_path(*self._in_world(frame, x, positions, turned))
             track = base_track(poses, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
             keep = going is not None and not going.carried and going.end_effector.times[-1] > t
@@ -163,7 +163,7 @@ class RequestQueue:
         frame, positions, turned, times = self._path(message)
 
         def request(x: Array, t: float) -> Task:
-            p, q = self._all_in_world(frame, x, positions, turned)
+            p, q = self._in_world(frame, x, positions, turned)
             track = end_effector_track(p, q, self._plan_times(times, t), t, self.settings.speeds)
             going = self.running
             keep = going is not None and going.base.times[-1] > t and going.base.times.size > 1
@@ -232,13 +232,13 @@ class RequestQueue:
     def _path(self, message: Any) -> tuple[str, Array, Array, Array]:
         if not 0 < len(message.poses) <= _MAX_POINTS:
             raise InputError(f"a path of 1 to {_MAX_POINTS} poses is needed, got {len(message.poses)}")
-        poses = [read_pose(p.pose, f"pose {i} of the path") for i, p in enumerate(message.poses)]
+        positions, turned = read_poses([p.pose for p in message.poses], "pose {} of the path")
         times = np.array([seconds(p.header.stamp) for p in message.poses])
         frame = self._frame(message.header)
         for i, p in enumerate(message.poses):
             if p.header.frame_id not in ("", frame):
                 raise InputError(f"pose {i} of the path is in the frame '{p.header.frame_id}', the path in '{frame}'")
-        return frame, np.array([p for p, _ in poses]), np.array([q for _, q in poses]), times
+        return frame, positions, turned, times
 
     def _plan_times(self, times: Array, t: float) -> Array:
         """Stamps on the plan's clock, on which it is t [s]."""
@@ -249,15 +249,12 @@ class RequestQueue:
             )
         return planned
 
-    def _in_world(self, frame: str, x: Array, position: Array, orientation: Array) -> tuple[Array, Array]:
-        """A pose of the bus (heights above the floor) in the planner's world. The base's frame counts without its lean."""
+    def _in_world(self, frame: str, x: Array, positions: Array, turned: Array) -> tuple[Array, Array]:
+        """A pose of the bus (heights above the floor), or positions (n, 3) and quaternions (n, 4) of several, in the planner's world.
+        The base's frame counts without its lean."""
         down = np.array([0.0, 0.0, self.planner.lift])
         if frame == self.settings.frames.world:
-            return position - down, orientation
+            return positions - down, turned
         p, q = self.planner.base_pose(x)
-        moved = p + lie.quaternion_to_rotation(q) @ position - down
-        return moved, np.asarray(lie.quaternion_multiply(q, orientation))
-
-    def _all_in_world(self, frame: str, x: Array, positions: Array, turned: Array) -> tuple[Array, Array]:
-        pairs = [self._in_world(frame, x, p, q) for p, q in zip(positions, turned, strict=True)]
-        return np.array([p for p, _ in pairs]), np.array([q for _, q in pairs])
+        moved = p + positions @ lie.quaternion_to_rotation(q).T - down
+        return moved, np.transpose(lie.quaternion_multiply(q, np.transpose(turned)))

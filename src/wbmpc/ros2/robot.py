@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -20,7 +19,8 @@ from wbmpc.ros2.base_driver import HELD, BaseWay
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Series, Standstill, mean_of, mean_rate, read_imu
+from wbmpc.ros2.inertial_readings import InertialReadings
+from wbmpc.ros2.joints import OVERTAKEN, Inertial, JointReader, JointSample, Series, Standstill, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -30,15 +30,8 @@ from wbmpc.runtime.safety import SafeStop
 _LOG = logging.getLogger("wbmpc")
 #: How long zeros are sent after the ramp of a stop [s].
 ZEROS = 1.0
-#: Two messages whose stamps differ by less than this [s] are of one moment.
-_TOGETHER = 1e-6
-#: Time that goes back by more than this [s] is of another clock: a simulator that was restarted, or a clock that was set.
-_BACK = 0.02
 #: How fast the difference of two machines' clocks may grow [s/s].
 _CLOCK_DRIFT = 1e-4
-#: A reading of the gyro counts for so long [s] at most: longer than between two messages of 100 Hz, shorter than a base changes
-#: its turning by much.
-_READING = 0.02
 #: While the robot is not commanded, one measurement in so many seconds is enough; so many messages wait for that at most.
 _STANDING, _WAITING = 0.01, 4000
 
@@ -59,21 +52,16 @@ class BusRobot:
         self._limit = RateLimit()
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
         self._reader = JointReader(adapter.robot, settings, adapter.must_keep_running)
+        self._inertial = InertialReadings(clock, settings.safety.watchdog)
         # where a back end does not know whose a message is, who would fall takes it
         topics, ambiguous = settings.topics, adapter.must_keep_running
         self._joint_source = OneSource(topics.joint_states, self._forget_joints, ambiguous)
-        self._imu_source = OneSource(topics.imu, self._forget_imu, ambiguous)
+        self._imu_source = OneSource(topics.imu, self._inertial.forget, ambiguous)
         self._joints: tuple[JointSample, float] | None = None
         self._series, self._replaced, self._standstill = Series(), False, Standstill()
-        self._inertial: tuple[Inertial, float] | None = None
-        self._fresh: list[tuple[float, Inertial]] = []  # with stamps [s], since the joint states that were read last
-        self._read: tuple[float, Inertial] | None = None
-        self._previous: tuple[float, np.ndarray] | None = None  # stamp and gyro of the message that was read last
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
-        self._fresh_until = -np.inf  # stamp of the inertial unit's last message
         self._behind = np.inf  # least time [s] from a stamp to its arrival
         self.lateness = self._reader.lateness
-        self._lock = threading.Lock()
         self.sent = 0  # commands since the last start
         self._armed = False
         self._stopping: float | None = None
@@ -136,16 +124,7 @@ class BusRobot:
             self._note("imu", error_message(error))
             return
         self._good("imu")
-        with self._lock:
-            again = bool(self._fresh_until == at > 0.0)  # a driver that hangs repeats itself
-            if at < self._fresh_until - _BACK:  # what waits is of another clock, and would wait as long
-                self._fresh.clear()
-            self._fresh_until = at
-            if again and self._inertial is not None and not isinstance(self.clock, BusClock):
-                return
-            self._inertial = taken, at if isinstance(self.clock, BusClock) else time.perf_counter()
-            self._fresh.append((at, taken))
-            del self._fresh[:-_WAITING]
+        self._inertial.put(at, taken)
 
     def _take_way(self, way: BaseWay, message: Any, source: Source | None = None) -> None:
         if not self._way_source.takes(source):
@@ -174,7 +153,7 @@ class BusRobot:
     def _follow_series(self, before: JointSample, now: JointSample) -> None:
         """Joint states of another publisher, or of a simulated time that went back to joints elsewhere, are of another series: their
         wheels count from elsewhere."""
-        back = isinstance(self.clock, BusClock) and now.stamp < before.stamp - _BACK
+        back = isinstance(self.clock, BusClock) and now.stamp < before.stamp - OVERTAKEN
         restarted = back and (self._replaced or self._reader.apart(before, now))
         if not (self._replaced or restarted):
             return
@@ -183,13 +162,6 @@ class BusRobot:
         why = "their time went back: the odometry begins at its origin" if restarted else why
         topic = self.settings.topics.joint_states
         self._limit.log(_LOG, logging.WARNING, "series", f"the joint states on {topic} restart, {why}")
-
-    def _forget_imu(self) -> None:
-        """The next readings are another publisher's."""
-        with self._lock:
-            self._fresh.clear()
-            self._read = self._previous = None
-            self._fresh_until = -np.inf
 
     @property
     def conflict(self) -> str:
@@ -214,7 +186,7 @@ class BusRobot:
     @property
     def has_imu(self) -> bool:
         """Whether there has been an inertial measurement."""
-        return self._inertial is not None
+        return self._inertial.heard
 
     def waiting_reason(self) -> str:
         """Why the robot cannot be moved yet; empty if it can."""
@@ -229,7 +201,7 @@ class BusRobot:
             return f"the joint states on {self.settings.topics.joint_states} are stamped {-age:.3g} s ahead of /clock"
         if age > limit:
             return f"the joint states on {self.settings.topics.joint_states} have stopped for more than {limit:g} s"
-        if self.adapter.needs_imu and self._inertial is None:
+        if self.adapter.needs_imu and not self._inertial.heard:
             return f"nothing on {self.settings.topics.imu} yet"
         return self.lateness.fault
 
@@ -289,9 +261,9 @@ class BusRobot:
             topic = self.settings.topics.joint_states
             raise SafeStop(f"the joint states on {topic} stand still, under new stamps, while the drives are to move")
         self._waiting.clear()
-        imu = self._averaged(sample.stamp)
+        imu = self._inertial.averaged(sample.stamp)
         if imu is not None and self._armed:
-            silent, limit = self._silent_imu(), self.settings.safety.watchdog
+            silent, limit = self._inertial.silent(), self.settings.safety.watchdog
             if silent > limit:
                 raise SafeStop(f"the messages on {self.settings.topics.imu} stopped {silent:.3f} s ago")
             if silent < -limit:  # their end would not be noticed
@@ -310,7 +282,7 @@ class BusRobot:
             if left and 0.0 <= at - last < _STANDING:
                 continue
             last = at
-            yield self._measurement(sample, arrival, self._averaged(sample.stamp))
+            yield self._measurement(sample, arrival, self._inertial.averaged(sample.stamp))
 
     def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:
         origin = self.clock.origin
@@ -323,43 +295,6 @@ class BusRobot:
         if not self.adapter.must_keep_running or sample.stamp == 0.0:
             return arrival
         return sample.stamp + self._behind - self.settings.state_age
-
-    def _averaged(self, stamp: float) -> Inertial | None:
-        """Of what was measured since the joint states that were read before: filters integrate it over their interval.
-
-        What is stamped later than these joint states is for the next ones, unless the stamps are of another clock.
-        """
-        with self._lock:
-            if self._read is not None and self._read[0] == stamp:
-                return self._read[1]
-            if not self._fresh:
-                return self._newest()
-            later = [k for k, (at, _) in enumerate(self._fresh) if at > stamp + _TOGETHER]
-            near = min(abs(self._fresh[k][0] - stamp) for k in (0, -1)) < self.settings.safety.watchdog
-            same_clock = near or (bool(later) and later[0] > 0)
-            end = later[0] if later and same_clock else len(self._fresh)
-            due, self._fresh = self._fresh[:end], self._fresh[end:]
-            if not due:
-                return self._newest()
-            previous = [self._previous] if self._previous is not None else []
-            seen = [*previous, *((at, i.gyro) for at, i in due)]
-            times, rates = zip(*seen, strict=True)
-            covered = stamp - times[-1] <= _READING or not isinstance(self.clock, BusClock)  # no stamp ahead
-            turning = mean_rate(times, rates, self.settings.safety.watchdog) if covered else None
-            self._previous = seen[-1]
-            self._read = stamp, replace(mean_of([i for _, i in due]), turning=turning)
-            return self._read[1]
-
-    def _newest(self) -> Inertial | None:
-        """The last message again where none came for joint states; an old one says nothing of the turning."""
-        if self._inertial is None:
-            return None
-        taken = self._inertial[0]
-        return replace(taken, turning=taken.gyro if self._silent_imu() <= _READING else None)
-
-    def _silent_imu(self) -> float:
-        assert self._inertial is not None
-        return (self.clock.stamp() if isinstance(self.clock, BusClock) else time.perf_counter()) - self._inertial[1]
 
     def write(self, command: Any) -> None:
         """Send a command to all controllers."""

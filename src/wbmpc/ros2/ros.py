@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, Endpoint, Qos, full_name, nothing
 from wbmpc.ros2.convert import error_message
-from wbmpc.ros2.deferred import Deferred
+from wbmpc.ros2.deferred import Deferred, most
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.parameters import Parameters, descriptor_of
 from wbmpc.ros2.sources import AMBIGUOUS, Source
@@ -99,7 +99,7 @@ class RosNode:
             except Exception as error:
                 self._limit.log(_LOG, logging.ERROR, name, f"{name}: {error_message(error)}")
 
-        later = lambda message: self._deferred.put(name, call, message)
+        later = lambda message: self._deferred.put(name, call, message, most=most(qos))
         taken = later if deferred else call
         made = self._node.create_subscription(get_message(kind), name, taken, _profile(qos), event_callbacks=events)
         self._made["subscription", name] += 1

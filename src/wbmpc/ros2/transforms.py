@@ -22,7 +22,7 @@ from wbmpc.ros2.obstacle_messages import read_transform
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
 Pose = tuple[Array, Array]
-KIND = "tf2_msgs/msg/TFMessage"
+TF, KIND = "/tf", "tf2_msgs/msg/TFMessage"
 #: Frames that are known at most, and how many are between a frame and the root of its tree.
 MAX_FRAMES, MAX_DEPTH = 1000, 50
 #: Transforms of a frame that are kept, and for how long [s] the last one holds.
@@ -56,8 +56,9 @@ class Transforms:
         self._frames: dict[str, _Frame] = {}
         self._forgot = -np.inf  # when old ones last were [s]
         self._lock, self._limit = threading.Lock(), RateLimit()
-        node.subscribe("/tf", KIND, lambda m: self.take(m, False), MOVING, largest=SMALL)
-        node.subscribe("/tf_static", KIND, lambda m: self.take(m, True), FIXED, largest=SMALL)
+        # not in the thread that brings joint states: a message of many frames takes longer than a period of these
+        node.subscribe(TF, KIND, lambda m: self.take(m, False), MOVING, deferred=True, largest=SMALL)
+        node.subscribe("/tf_static", KIND, lambda m: self.take(m, True), FIXED, deferred=True, largest=SMALL)
 
     def take(self, message: Any, fixed: bool) -> None:
         """A tf2_msgs/TFMessage; transforms that cannot be meant are left out."""

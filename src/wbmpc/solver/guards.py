@@ -23,7 +23,7 @@ class Exclusive:
     """
 
     def __init__(self, what: str) -> None:
-        self.what, self._running = what, False
+        self.what, self._running = what, ""
         self._lock: Any = threading.RLock()
 
     def __enter__(self) -> None:
@@ -54,10 +54,18 @@ class Exclusive:
                     f"{name}: called before its last call has ended, as by a guess of its own or a signal's handler"
                 )
             try:
-                self._running = True
+                self._running = name
                 return work(given)
             finally:
-                self._running = False
+                self._running = ""
+
+    def unless(self, name: str, what: str) -> Exclusive:
+        """To be entered for ``what``, which changes what a call of ``name`` works on, and so may not come in its middle."""
+        if self._running == name:
+            raise SolverBusy(
+                f"{what}: called before {name} has ended, whose memory it changes, as by a signal's handler"
+            )
+        return self
 
 
 def _stay(*_: object) -> None:

@@ -87,10 +87,8 @@ class Solver(SolverResults):
         from wbmpc.solver.reference_solver import InterpretedSolver
         from wbmpc.solver.workspace import make_workspace
 
-        self.problem, self._terms = (
-            Transcription(self.ocp, exact_from_start(self.ocp, self.settings)),
-            tuple(self.ocp.terms.values()),
-        )
+        self.problem = Transcription(self.ocp, exact_from_start(self.ocp, self.settings))
+        self._terms = tuple(self.ocp.terms.values())
         self.kernel = self._build()
         if self.kernel is not None:
             self.ws: Any = make_workspace(self.kernel, self.problem)
@@ -193,7 +191,7 @@ class Solver(SolverResults):
         :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
         """
         start = trajectories(self.ocp, self._given_grid, x, u)
-        with self.exclusive:
+        with self.exclusive.unless("Solver.solve", "Solver.warm_start"):
             self.ws.x[:], self.ws.u[:] = start
 
     def use(self, x: np.ndarray, u: np.ndarray) -> None:
@@ -215,13 +213,15 @@ class Solver(SolverResults):
 
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
-        with self.exclusive:
-            if self.settings.backend == "interpreted":
-                self.twin.reset()
-            else:
-                from wbmpc.solver.receding import forget
+        with self.exclusive.unless("Solver.solve", "Solver.reset"):
+            self._forget()
 
-                forget(self.ws.memory, self.ws.table)
+    def _forget(self) -> None:
+        if self.settings.backend == "interpreted":
+            return self.twin.reset()
+        from wbmpc.solver.receding import forget
+
+        return forget(self.ws.memory, self.ws.table)
 
     def node_times(self, t0: float) -> np.ndarray:
         """Times (N + 1) [s] of the nodes of a solve that starts at ``t0`` [s], from its start: events move them (``align_events``)."""
@@ -336,7 +336,7 @@ class Solver(SolverResults):
         status, count = self.hessian.run(x0, t0)
         if start is not None and self.status(status) is not Status.CONVERGED:
             self.ws.x[:], self.ws.u[:] = start
-            self.reset()
+            self._forget()
             status, count = self.hessian.run(x0, t0)
         return status, count
 

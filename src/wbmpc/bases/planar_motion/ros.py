@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -35,6 +36,8 @@ Array = np.ndarray
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
 #: [rad] besides, have restarted.
 GAP, REST = 0.1, 0.5
+#: Poses that are kept: another localization's is of the time of its stamp.
+REMEMBERED = 400
 #: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that restart.
 SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
 
@@ -70,6 +73,7 @@ class BusController(PlanarController):
         super().__init__(*args, **keys)
         self.covariance: Array = np.zeros((3, 3))
         self.speed: Array = np.zeros(3)
+        self._was: deque[tuple[float, Array]] = deque(maxlen=REMEMBERED)  # times [s] that go on from run to run, poses
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
         """As the inertial unit's messages between the two say."""
@@ -87,9 +91,12 @@ class BusController(PlanarController):
             self.covariance = self.covariance + np.diag(UNSEEN**2)
         super().measure(lasting)
         self._note_motion(before, interval)
+        if interval < 0.0:  # of a clock that was restarted
+            self._was.clear()
+        self._was.append((lasting.time, self.pose.copy()))
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
-            self._correct(fix[1], fix[2])
+            self._correct(fix[0] + measurement.origin, fix[1], fix[2])
         self.seen = measurement, self.pose.copy(), self.speed
 
     def _follow_series(self, series: Series) -> None:
@@ -101,6 +108,7 @@ class BusController(PlanarController):
         self.odometry.restart()
         self.covariance = self.covariance + np.diag(UNSEEN**2)
         if series.simulations != known.simulations:
+            self._was.clear()
             self.odometry.place(np.zeros(3))
             self.covariance = np.zeros((3, 3))
 
@@ -119,15 +127,24 @@ class BusController(PlanarController):
         self.covariance = self.covariance + np.diag(spread**2)
         self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
 
-    def _correct(self, pose: Array, covariance: Array) -> None:
-        """By both covariances; a pose without one is exact, and the first one says where the robot is."""
-        ours, exact = self.pose, not covariance.any()
-        error = np.array([*(pose[:2] - ours[:2]), nearest_angle(pose[2], ours[2]) - ours[2]])
+    def _correct(self, t: float, pose: Array, covariance: Array) -> None:
+        """By both covariances, where the base was at t [s]: what it has driven since stays. A pose without a covariance is exact and of
+        now, and so is the first one, which says where the robot is."""
+        exact = not covariance.any()
         sure = exact or not self.placed
+        then = self.pose.copy() if sure else min(self._was, key=lambda seen: abs(seen[0] - t))[1]
+        error = np.array([*(pose[:2] - then[:2]), nearest_angle(pose[2], then[2]) - then[2]])
         gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
+        self._move_way(then, gain @ error)
         self.placed = True
-        self.odometry.place(ours + gain @ error)
         self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
+
+    def _move_way(self, then: Array, by: Array) -> None:
+        """The pose ``then`` (3) was off ``by`` (3), and with it the whole way, before and since: the next late pose must not find the same
+        error again."""
+        moved = lambda p: then + [by[0], by[1], 0.0] + lie.se2_compose([0.0, 0.0, by[2]], p - then)
+        self._was = deque(((t, moved(p)) for t, p in self._was), REMEMBERED)
+        self.odometry.place(moved(self.pose))
 
 
 def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
