@@ -3,6 +3,8 @@ simulated robot."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,29 @@ def test_a_level_base_with_that_arm_has_its_end_effector_where_a_tilted_one_has_
     tilted = floor + about_z @ rotation(lean) @ about_z.T @ (position - floor)
     np.testing.assert_allclose(robot.pose(LevelArm(robot)(x, lean))[0], tilted, atol=2.5e-4)
     assert np.linalg.norm(tilted - position) > 3e-3
+
+
+def test_the_base_makes_up_for_a_lean_where_the_arm_cannot(tmp_path: Path) -> None:
+    """An arm that goes up and out to the left, on a base that leans forward: its end effector is ahead by height times angle."""
+    wheels = "".join(
+        f'<body name="{n}" pos="0 {y} 0.1"><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/><joint name="{n}" axis="0 1 0"/></body>'
+        for n, y in (("l", 0.3), ("r", -0.3))
+    )
+    (tmp_path / "robot.xml").write_text(
+        f"""<mujoco><compiler autolimits="true"/><worldbody><body name="base"><freejoint/><inertial pos="0 0 0" mass="20"
+        diaginertia="1 1 1"/>{wheels}<body name="lift" pos="0.1 0 0.9"><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+        <joint name="up" type="slide" axis="0 0 1" range="0 1"/><body name="out"><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+        <joint name="out" type="slide" axis="0 1 0" range="0 1"/><site name="tool" pos="0 0.4 0"/></body></body></body></worldbody></mujoco>"""
+    )
+    (tmp_path / "robot.yaml").write_text(
+        "name: lifter\nmodel: robot.xml\nbase: {type: differential, body: base, wheels: [l, r], wheel_radius: 0.1}\n"
+        "arm: {joints: [up, out], tool: tool}\nlimits: {velocity: {l: 10, r: 10, up: 1, out: 1}}\n"
+    )
+    robot, lean = load_robot(tmp_path / "robot.yaml"), np.array([0.0, 0.02, 0.0])
+    at = robot.pose(robot.home)[0]
+    tilted = rotation(lean) @ at
+    assert tilted[0] - at[0] == pytest.approx(0.02 * 0.9, rel=0.02)
+    np.testing.assert_allclose(robot.pose(LevelArm(robot)(robot.home, lean))[0], tilted, atol=4e-4)
 
 
 def test_a_simulated_robot_on_soft_casters_knows_its_lean_and_one_on_rigid_wheels_needs_none() -> None:

@@ -200,3 +200,14 @@ def test_an_encoding_that_is_none_of_a_text_is_an_error(tmp_path: Path, encoding
     text = f'<?xml version="1.0" encoding="{encoding}"?>{urdf()}'
     with pytest.raises(InputError, match=r"a\.urdf: cannot be read"):
         load_robot(robot_file(tmp_path, "a.urdf", text))
+
+
+def test_macros_without_their_prefix_are_named(tmp_path: Path) -> None:
+    """As the description of youBot has them: a property that nothing defines."""
+    pytest.importorskip("xacrodoc")
+    (tmp_path / "a.xacro").write_text(
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><property name="M_PI" value="3.14"/>'
+        '<xacro:macro name="m"><link name="${M_PI}"/></xacro:macro><xacro:m/></robot>'
+    )
+    with pytest.raises(InputError, match=r"'M_PI' is not defined.*old files leave out the prefix.*<xacro:property"):
+        xacro_file.expand(tmp_path / "a.xacro", {}, {})

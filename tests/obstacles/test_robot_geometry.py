@@ -181,3 +181,40 @@ def test_pairs_to_ignore_are_left_out_and_the_rest_is_shown(tmp_path: Path) -> N
     assert ("foot", "fore") in propose_pairs(robot).pairs and ("foot", "fore") not in self_pairs(robot)
     text = " ".join(f.message for f in diagnose(robot))
     assert "4 shapes on 4 frames" in text and "confirm them" in text and "[shoulder, fore]" in text
+
+
+TELESCOPE = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="base"><freejoint/>
+<inertial pos="0 0 0" mass="20" diaginertia="1 1 1"/>{wheels}
+<body name="tube" pos="0 0 0.6"><geom type="box" size="0.2 0.03 0.03" contype="1"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+<joint name="a" type="slide" axis="1 0 0" range="0 0.3"/>
+<body name="rod"><geom type="box" size="0.2 0.02 0.02"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+<joint name="b" type="slide" axis="{second}" range="-0.3 0"/>
+<body name="tip"><geom type="box" size="0.2 0.01 0.01"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+<joint name="c" type="slide" axis="1 0 0" range="0 0.6"/><site name="tool" pos="0.2 0 0"/></body></body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(("second", "nested"), [("-1 0 0", True), ("0 0 1", False)])
+def test_sections_of_a_telescope_go_into_each_other(tmp_path: Path, second: str, nested: bool) -> None:
+    """Of three boxes that slide, the last is in the first unless it is out by more than 0.4 m; a lift between them makes it no telescope."""
+    from wbmpc.bases import base_type
+    from wbmpc.simulation.perturbation import Perturbation
+
+    wheels = "".join(
+        f'<body name="{n}" pos="0 {y} 0.1"><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/><joint name="{n}" axis="0 1 0"/></body>'
+        for n, y in (("l", 0.3), ("r", -0.3))
+    )
+    (tmp_path / "robot.xml").write_text(TELESCOPE.format(wheels=wheels, second=second))
+    (tmp_path / "robot.yaml").write_text(
+        "name: telescope\nmodel: robot.xml\nbase: {type: differential, body: base, wheels: [l, r], wheel_radius: 0.1}\n"
+        "arm: {joints: [a, b, c], tool: tool}\nhome: {c: 0.55}\n"
+        "limits: {velocity: {l: 10, r: 10, a: 1, b: 1, c: 1}}\n"
+    )
+    robot = load_robot(tmp_path / "robot.yaml")
+    assert (("tube", "tip") in propose_pairs(robot, 300).adjacent) == nested
+    assert (("tube", "tip") in list_pairs(robot, 300).pairs) != nested
+    plant = base_type("differential").plant(robot, Perturbation.none(), 0)
+    plant.arrange(np.zeros(robot.state.size))  # all the way in
+    plant.world.refresh()
+    plant.world.contacts.update(1.0)
+    found = {(t.first, t.second) for t in plant.world.contacts.touches}
+    assert (("tip", "tube") in found) != nested

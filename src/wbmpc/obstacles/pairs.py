@@ -25,13 +25,15 @@ ALWAYS = 0.95
 #: Of the pairs for a robot file: states that are drawn, the share of them in which a pair may be nearer than its margin, and how many
 #: pairs there are at most: each costs time in every solve.
 FILE_SAMPLES, OFTEN, MOST = 2000, 0.5, 20
+#: Slides are those of one telescope if the cosine of their axes is more.
+PARALLEL = 0.999
 
 
 @dataclass(frozen=True)
 class Proposal:
     """Pairs of frames by what sampling ``samples`` states found of them: ``pairs`` that come near; ``adjacent``: one joint or none between
-    them; ``always``: nearer than their margin in almost every state, or touching at home; ``never``: not nearer than :data:`NEAR` in any,
-    which is no proof."""
+    them, or sections of one telescope; ``always``: nearer than their margin in almost every state, or touching at home; ``never``: not
+    nearer than :data:`NEAR` in any, which is no proof."""
 
     samples: int
     pairs: tuple[Pair, ...]
@@ -129,11 +131,18 @@ def _bodies(geometry: RobotGeometry) -> list[str]:
 
 
 def _adjacent(robot: RobotModel, a: str, b: str) -> bool:
-    """Whether at most one joint moves a frame against another."""
+    """Whether at most one joint moves a frame against another, or they are sections of one telescope, which go into each other."""
     tree = robot.tree
-    paths = [path_of(robot, tree.frames[f].link) for f in (a, b)]
-    between = set(paths[0]) ^ set(paths[1])
-    return sum(tree.links[i].joint is not None for i in between) <= 1
+    above, below = sorted((path_of(robot, tree.frames[f].link) for f in (a, b)), key=len)
+    moving = [i for i in set(above) ^ set(below) if tree.links[i].joint is not None]
+    if len(moving) <= 1:
+        return True
+    branched = any(tree.links[i].joint is not None for i in set(above) - set(below))
+    if branched or any(tree.links[i].kind != "prismatic" for i in moving):
+        return False
+    poses = tree.zero_poses()
+    axes = [poses[i][1] @ tree.links[i].axis for i in moving]
+    return all(abs(float(axes[0] @ axis)) > PARALLEL for axis in axes)
 
 
 _PROPOSALS: WeakKeyDictionary[RobotModel, Proposal] = WeakKeyDictionary()

@@ -22,6 +22,7 @@ _UNKNOWN = re.compile(r"Package not found: ([\w-]+)")
 #: A file of a package that is nowhere: pathlib makes one slash of two.
 _MISSING = re.compile(rf"{PACKAGE[:-1]}([\w-]+)/")
 _ARGUMENT = re.compile(r"Undefined substitution argument ([\w-]+)")
+_UNDEFINED = re.compile(r"name '(\w+)' is not defined")
 _DECLARED = re.compile(rb"""<xacro:arg\s[^<>]*?\bname\s*=\s*["']([\w-]+)["']""")
 #: How long macros may take [s].
 SECONDS = CLOCK
@@ -70,7 +71,12 @@ def _expanded(
             f"{name}: its macros need the argument '{argument[1]}'; give it with 'xacro_arguments: {{{argument[1]}: VALUE}}' in the "
             f"robot's YAML, or --argument {argument[1]}:=VALUE"
         )
-    raise InputError(f"{name}: its macros cannot be expanded: {text[:300]}{_declared(path, arguments)}")
+    old = (
+        "; old files leave out the prefix of macros, which is needed: <xacro:property …>, <xacro:macro …>, <xacro:include …>, in every "
+        'file below <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    )
+    hint = old if _UNDEFINED.search(text) else ""
+    raise InputError(f"{name}: its macros cannot be expanded: {text[:300]}{hint}{_declared(path, arguments)}")
 
 
 def _declared(path: Path, given: tuple[tuple[str, str], ...]) -> str:

@@ -2,8 +2,9 @@
 
 Every shape has a class. Shapes of the robot's file are its hull; tires, balls, rollers and casters roll; a tool touches handles. All
 classes of robot and scene collide, the robot with itself too; :data:`ALLOWED` lists the pairs that are meant to touch. Any other
-contact is unwanted, and counted. Bodies that a joint connects overlap at it in most files, so they do not collide; nor do other parts
-that the file draws in each other at the robot's home (:func:`arm`).
+contact is unwanted, and counted. Bodies that a joint connects overlap at it in most files, so they do not collide; nor do sections of a
+telescope, whose shapes are full where those are hollow, nor other parts that the file draws in each other at the robot's home
+(:func:`enable`).
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ ALLOWED = frozenset({(FLOOR, ROLLS), (TOUCHES, TOUCHED)})
 _ALLOWED_EITHER_WAY = ALLOWED | {(second, first) for first, second in ALLOWED}
 #: Hulls that come nearer than this [m] to the floor under the standing robot are drawn wheels and casters: they do not touch it.
 DRAGS = 0.002
+#: Slides are those of one telescope if the cosine of their axes is more.
+PARALLEL = 0.999
 #: Two parts that have been apart for less than this [s] touch in the same event; the clearance is checked every so often [s].
 APART, INTERVAL = 0.1, 0.01
 #: Distances beyond this [m] are not looked for.
@@ -47,7 +50,8 @@ NARROW = 0.001
 def enable(spec: mujoco.MjSpec, home: Mapping[str, float], source: object) -> None:
     """Make the shapes of the robot's file collide, in place; ``home`` [rad or m] by joint, ``source``: the file, for errors.
 
-    Where a tire or ball stands for its body, the drawn shapes do not; what is drawn in each other at home stays without contact.
+    Where a tire or ball stands for its body, the drawn shapes do not; what is drawn in each other at home stays without contact, and
+    so do sections of a telescope.
     """
     rolling = {g.parent.name for g in spec.geoms if g.contype == ROLLS}
     for number, body in enumerate(spec.bodies):
@@ -66,6 +70,7 @@ def enable(spec: mujoco.MjSpec, home: Mapping[str, float], source: object) -> No
         elif all(model.geom_contype[g] in (ROLLS, BODY) for g in pair):
             first, second = sorted(str(model.body(int(model.geom_bodyid[g])).name) for g in pair)
             drawn.add((first, second))
+    drawn.update(_nested(model, data))
     for first, second in sorted(drawn):
         spec.add_exclude(bodyname1=first, bodyname2=second)
 
@@ -88,6 +93,26 @@ def _standing(model: mujoco.MjModel, home: Mapping[str, float]) -> mujoco.MjData
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
     return data
+
+
+def _nested(m: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
+    """Pairs of bodies, by name in order, that slide along one line against each other, each section on the one before."""
+    found, weld = set[tuple[str, str]](), m.body_weldid.tolist()
+    for body in range(1, m.nbody):
+        part, section = weld[body], np.zeros(3)
+        while m.body_jntnum[part] == 1 and m.jnt_type[m.body_jntadr[part]] == mujoco.mjtJoint.mjJNT_SLIDE:
+            along = data.xaxis[m.body_jntadr[part]]
+            first, part = not section.any(), weld[m.body_parentid[part]]
+            # the world and what stands in it is no section
+            if part == 0 or not (first or abs(section @ along) > PARALLEL):
+                break
+            section = along
+            if first:  # bodies that one joint connects do not collide anyway
+                continue
+            for other in np.flatnonzero(m.body_weldid == part).tolist():
+                a, b = sorted((str(m.body(body).name), str(m.body(other).name)))
+                found.add((a, b))
+    return found
 
 
 @dataclass(frozen=True)

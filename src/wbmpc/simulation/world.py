@@ -142,7 +142,8 @@ class World:
         self._root, self._mount = self._free_root()
         self._joints = {name: (int(m.joint(name).qposadr[0]), int(m.joint(name).dofadr[0])) for name in joints}
         self._pushes: dict[int, tuple[Array, Array, Array | None]] = {}
-        self._steps, self._fresh, self._lost, self._yaw = 0, False, False, 0.0
+        self._steps, self._fresh, self._lost = 0, False, False
+        self.counted_yaw = 0.0  # the base's yaw [rad] of the last command's end, with its whole turns
 
     def _bind_frames(self) -> None:
         """What :meth:`frames` reads, and its step."""
@@ -196,7 +197,7 @@ class World:
     def restart(self) -> None:
         """The present state becomes that of time 0."""
         self._steps, self.data.time = 0, 0.0
-        self._yaw = self._wrapped_yaw()
+        self.counted_yaw = self._wrapped_yaw()
         self._fresh = False
 
     def refresh(self) -> None:
@@ -232,7 +233,7 @@ class World:
         self._lost = self.diverged
         if not self._lost:
             self.contacts.update(self.time)
-            self._yaw = unwrap(self._wrapped_yaw(), self._yaw)
+            self.counted_yaw = unwrap(self._wrapped_yaw(), self.counted_yaw)
 
     # ------------------------------------------------------------------ pushes
     def push(
@@ -277,12 +278,7 @@ class World:
     @property
     def yaw(self) -> float:
         """Yaw of the base [rad], not wrapped."""
-        return unwrap(self._wrapped_yaw(), self._yaw)
-
-    @property
-    def counted_yaw(self) -> float:
-        """The base's yaw [rad] of the last command's end, with its whole turns."""
-        return self._yaw
+        return unwrap(self._wrapped_yaw(), self.counted_yaw)
 
     @property
     def tilt(self) -> float:

@@ -1,7 +1,8 @@
 """How far a base leans on soft casters, by its inertial unit, and what that does to its end effector.
 
 Plans are of a level base. A lean moves the end effector by centimeters over a reach of a meter and a lean of half a degree; here the
-arm's angles that a plan starts from are those with which a level base would have its end effector where it is.
+arm's angles that a plan starts from are those with which a level base would have its end effector where it is. What an arm cannot make
+up for, of few joints or stretched out, its base does: the plan starts from a base that stands so far aside.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ class TiltFilter:
 
 
 class LevelArm:
-    """The arm of a robot as a level base would need it, for the end effector of one that leans."""
+    """The arm of a robot as a level base would need it, for the end effector of one that leans; the base where the arm does not reach."""
 
     def __init__(self, robot: RobotModel) -> None:
         x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", robot.input.size)
@@ -89,8 +90,8 @@ class LevelArm:
         self._height, self._arm = robot.base.body_height, robot.state["arm"]
 
     def __call__(self, x: Array, turned: Array) -> Array:
-        """The state (nx) with the arm moved, least squares; ``turned`` (3) [rad]: the lean in axes of the base, about the point on the floor
-        under its frame."""
+        """The state (nx) with the arm moved, least squares, and the base on the floor by the rest; ``turned`` (3) [rad]: the lean in axes of
+        the base, about the point on the floor under its frame."""
         position, rows = (np.asarray(part) for part in self._seen(x))
         c, s = np.cos(x[2]), np.sin(x[2])
         lean = np.array([c * turned[0] - s * turned[1], s * turned[0] + c * turned[1], 0.0])
@@ -99,4 +100,5 @@ class LevelArm:
         moved = rows.T @ np.linalg.solve(rows @ rows.T + DAMPING**2 * np.eye(6), wanted)
         found: Array = x.copy()
         found[self._arm] += moved
+        found[:2] += (wanted - rows @ moved)[:2]
         return found
