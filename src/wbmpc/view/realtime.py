@@ -65,7 +65,7 @@ class RealtimeView(LiveView):
         groups = tuple(
             g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
         )  # not measured
-        controls = self._controls(mpc, groups, paced=False, pushes=seen is not None)
+        controls = self._controls(mpc, self.robot, groups, paced=False, pushes=seen is not None)
         nx = mpc.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {

@@ -105,6 +105,12 @@ class SwerveBaseType(BaseType):
         folding.attach(controller)
         return folding
 
+    def configurations(self, robot: RobotModel) -> Mapping[str, Array]:
+        """H, X and A of a base with two front and two rear legs."""
+        from wbmpc.bases.swerve.configurations import configurations
+
+        return configurations(robot)
+
     def ros_settings(self, description: RobotDescription) -> type[SwerveRosSettings]:
         """Weights of the swerve problem, gyro and legs."""
         from wbmpc.bases.swerve.ros_settings import SwerveRosSettings

@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
@@ -19,7 +20,7 @@ from wbmpc.settings import ControlSettings, Robot, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation, StuckBrake
-from wbmpc.stability import CONFIGURATIONS, assess, corners, leg_angles
+from wbmpc.stability import assess, leg_angles
 from wbmpc.studies.pankert2022.rolling import RollingController
 
 #: Push [N] and its length [s] (Fig. 4).

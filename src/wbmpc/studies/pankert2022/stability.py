@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
@@ -13,7 +14,7 @@ from wbmpc.result import Drawing, Metric
 from wbmpc.settings import Robot, Settings
 from wbmpc.simulation.lockstep import Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
+from wbmpc.stability import Assessment, assess, draw
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 
 NAME = "swerve-stability"

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
@@ -22,7 +23,7 @@ from wbmpc.settings import Robot, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Ending, Progress, watched
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import CONFIGURATIONS, assess, corners
+from wbmpc.stability import assess
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.support_prediction import RAISE, REST, Case
 from wbmpc.studies.pankert2022.wobble_figures import RATE, TURN, Predictions, metrics, plots
