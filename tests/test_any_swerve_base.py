@@ -18,10 +18,10 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.configurations import corners
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import assess, leg_angles
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import unified as swerve_unified
@@ -40,7 +40,7 @@ def test_it_drives_forward_sideways_and_turns(base: str, tmp_path: Path) -> None
     """Body twist (0.15, 0.12 m/s, 0.2 rad/s) for 2 s from rest; the odometry says the same within 1.5 %."""
     path = write_base(tmp_path, *BASES[base])
     motion = Motion((0.15, 0.12, 0.2), 2.0, start=1.0)
-    result = drive(motion, str(path), perturbation=Perturbation(), seed=2)
+    result = drive(motion, str(path), perturbation=SwervePerturbation(), seed=2)
     assert result.reason == ""
     way = np.linalg.norm(result.reference * [1, 1, 0.8])
     assert way > 0.35
@@ -78,7 +78,7 @@ def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_p
         return (np.zeros(3), np.zeros(3)), (0.5 - SWING * share * sent, -SWING * rate * sent)
 
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
-    plant = SwervePlant(robot.description, robot.state.split(x), Perturbation(), 3)
+    plant = SwervePlant(robot.description, robot.state.split(x), SwervePerturbation(), 3)
     watching = SupervisionSettings(monitor=monitor)
     controller = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, supervision=watching)
     for k in range(1000):

@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "wbmpc"
 ROOMS = (
     "errors", "interrupts", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file", "yaml_file",
     "configuration", "settings_table", "units", "plots", "result", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
-    "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
+    "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "settings", "simulation",
     "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "study", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip
@@ -219,6 +219,28 @@ def test_importing_has_no_side_effects(tmp_path: Path) -> None:
     )
     assert (out.returncode, out.stdout, out.stderr) == (0, "", "")
     assert not (tmp_path / "cache").exists()
+
+
+CONTROLLER = """
+import sys
+import wbmpc.cli.ros2, wbmpc.ros2.control
+from wbmpc.bases import base_type
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.settings import settings_of
+for name in ('swerve-ur10', 'rezero', 'panda', 'differential-ur10'):
+    robot = load_robot(name)
+    base_type(robot.description.base.type).ros(robot, settings_of(robot)(), 1.0 / 400.0)
+print(*sorted(m for m in sys.modules if m.startswith('wbmpc.simulation') or m == 'wbmpc.experiment'))
+"""
+
+
+def test_a_controller_on_a_bus_loads_no_simulator(tmp_path: Path) -> None:
+    """What 'wbmpc ros2 control' imports and makes. MuJoCo itself is there: it reads the robots' files."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    out = subprocess.run(
+        [sys.executable, "-c", CONTROLLER], env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert (out.returncode, out.stdout, out.stderr) == (0, "\n", "")
 
 
 def of_the_machine(text: str) -> list[str]:

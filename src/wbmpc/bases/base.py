@@ -292,6 +292,11 @@ class BaseType(Protocol):
         """The symbolic base of a described robot."""
         reject_missing_part(description, "model")
 
+    def perturbation(self) -> type[Perturbation] | None:
+        """The model of its plant's perturbation, a subclass of :class:`wbmpc.simulation.perturbation.Perturbation` with settings of its own;
+        None: what the plants of all robots read."""
+        return None
+
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
     ) -> SimulatedRobot:
@@ -354,7 +359,8 @@ class BaseType(Protocol):
 PARTS = {
     "check": "check of its mechanics", "propose": "proposal for a new robot", "reshaping": "change of shape", "diagnose": "diagnosis",
     "configurations": "named configurations of its legs",
-    "model": "model", "plant": "simulated robot", "mpc": "problem with default weights", "system": "simulated robot with a controller",
+    "model": "model", "plant": "simulated robot", "perturbation": "model of its perturbation",
+    "mpc": "problem with default weights", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
     "calibrator": "calibration of steered wheels", "calibrate": "calibration of its wheels",
 }  # fmt: skip

@@ -13,7 +13,7 @@ from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.stability import leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
@@ -36,7 +36,7 @@ class TipOverSettings(TaskSettings):
     0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
-    plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
+    plant: AnyPerturbation = AnyPerturbation(payload=10.0, wheel_radius_each=0.0)
     stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
     settle_time: float = Field(0.5, ge=0, le=60)

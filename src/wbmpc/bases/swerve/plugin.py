@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.leg_folding import LegFolding
+    from wbmpc.bases.swerve.perturbation import SwervePerturbation
     from wbmpc.bases.swerve.plant import SwervePlant
     from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
@@ -55,6 +56,12 @@ class SwerveBaseType(BaseType):
         base = SwerveBase(description, read_tree(spec, description.base.body))
         base.warn(description)
         return base
+
+    def perturbation(self) -> type[SwervePerturbation]:
+        """Steering encoders and brakes."""
+        from wbmpc.bases.swerve.perturbation import SwervePerturbation
+
+        return SwervePerturbation
 
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
