@@ -21,7 +21,7 @@ from wbmpc.simulation.perturbation import ArmPerturbation, PlantSample
 from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive
 
 #: Gain [N m s/rad] of the servos per N m of effort limit, but not below its floor; floor of those that slide [N s/m].
-_ARM_GAIN, _ARM_GAIN_LEAST, _SLIDE_GAIN = 12.0, 800.0, 2e4
+_ARM_GAIN, _MIN_ARM_GAIN, _SLIDE_GAIN = 12.0, 800.0, 2e4
 
 
 def span(index: Array) -> slice | Array:
@@ -52,8 +52,8 @@ class ArmPlant(WorldAccess):
             spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
             effort = self.description.limits.effort.get(name, np.inf)
             slides = spec.joint(name).type == mujoco.mjtJoint.mjJNT_SLIDE
-            least = _SLIDE_GAIN if slides else _ARM_GAIN_LEAST
-            gain = max(least, _ARM_GAIN * effort) if np.isfinite(effort) else least
+            minimum = _SLIDE_GAIN if slides else _MIN_ARM_GAIN
+            gain = max(minimum, _ARM_GAIN * effort) if np.isfinite(effort) else minimum
             add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, lag, gain)
         p = self.perturbation
         if p.payload > 0.0:
