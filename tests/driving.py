@@ -9,6 +9,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
@@ -16,7 +17,6 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.simulation.lockstep import Timing, run_lockstep
-from wbmpc.simulation.perturbation import Perturbation
 
 #: Leg angles [rad] of the configurations of Pankert et al. 2022, Table I (signs of LF, RF, LB, RB).
 SIGNS = np.array([1.0, -1.0, -1.0, 1.0])
@@ -71,7 +71,7 @@ def drive(
     name: str = "swerve-ur10",
     legs: np.ndarray | None = None,
     steer: np.ndarray | None = None,
-    perturbation: Perturbation | None = None,
+    perturbation: SwervePerturbation | None = None,
     seed: int = 0,
     guess: bool = True,
     planned_steering: bool = True,

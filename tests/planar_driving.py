@@ -15,8 +15,8 @@ from wbmpc.bases.planar_motion.messages import PlanarCommand
 from wbmpc.bases.planar_motion.plant import PlanarPlant
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.robots import load_spec
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.lockstep import run_lockstep
-from wbmpc.simulation.perturbation import Perturbation
 
 #: Height [m] of the body's frame over the ground, and radius [m] of the wheels of files written here.
 HEIGHT, RADIUS = 0.15, 0.08
@@ -81,7 +81,7 @@ def write_robot(
 
 def ideal_plant(robot: RobotModel) -> PlanarPlant:
     """A plant like the model, with perfect sensors."""
-    plant: PlanarPlant = base_type(robot.description.base.type).plant(robot, Perturbation.none(), 0)
+    plant: PlanarPlant = base_type(robot.description.base.type).plant(robot, AnyPerturbation.none(), 0)
     return plant
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from driving import Motion, drive
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
 
 ROBOT = load_robot("swerve-mabi")
 LOWER, UPPER = np.array([-6.1, -3.0, -2.4, -6.1, -2.2, -4.6]), np.array([6.1, 0.0, 2.4, 6.1, 2.2, 4.6])
@@ -42,13 +42,13 @@ def test_the_hand_is_where_six_turns_put_it(seed: int) -> None:
     x = ROBOT.home.copy()
     x[ROBOT.state["arm"]] = q
     np.testing.assert_allclose(ROBOT.pose(x)[0], place, atol=1e-9)
-    y = SwervePlant(ROBOT.description, x, Perturbation.none(), settle=0.0).truth()
+    y = SwervePlant(ROBOT.description, x, SwervePerturbation.none(), settle=0.0).truth()
     np.testing.assert_allclose(y.tool, place, atol=1e-6)
     np.testing.assert_allclose(y.tool_rotation[:, 2], turn[:, 0], atol=1e-6)
 
 
 def test_it_drives_and_its_hand_rides_along() -> None:
-    result = drive(Motion((0.15, 0.12, 0.2), 2.0, start=1.0), "swerve-mabi", perturbation=Perturbation(), seed=2)
+    result = drive(Motion((0.15, 0.12, 0.2), 2.0, start=1.0), "swerve-mabi", perturbation=SwervePerturbation(), seed=2)
     assert result.reason == ""
     way = np.linalg.norm(result.reference * [1, 1, 0.8])
     assert np.linalg.norm((result.truth - result.reference) * [1, 1, 0.8]) < 0.05 * way

@@ -17,11 +17,12 @@ from own_bases import write_base
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
+from wbmpc.bases.swerve.configurations import corners
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import assess, corners, leg_angles
+from wbmpc.stability import assess, leg_angles
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import unified as swerve_unified
 from wbmpc.studies.pankert2022.directions import beyond_range, reject_directions
@@ -39,7 +40,7 @@ def test_it_drives_forward_sideways_and_turns(base: str, tmp_path: Path) -> None
     """Body twist (0.15, 0.12 m/s, 0.2 rad/s) for 2 s from rest; the odometry says the same within 1.5 %."""
     path = write_base(tmp_path, *BASES[base])
     motion = Motion((0.15, 0.12, 0.2), 2.0, start=1.0)
-    result = drive(motion, str(path), perturbation=Perturbation(), seed=2)
+    result = drive(motion, str(path), perturbation=SwervePerturbation(), seed=2)
     assert result.reason == ""
     way = np.linalg.norm(result.reference * [1, 1, 0.8])
     assert way > 0.35
@@ -77,7 +78,7 @@ def test_open_legs_of_any_number_swing_and_closed_ones_stand(modules: int, tmp_p
         return (np.zeros(3), np.zeros(3)), (0.5 - SWING * share * sent, -SWING * rate * sent)
 
     monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
-    plant = SwervePlant(robot.description, robot.state.split(x), Perturbation(), 3)
+    plant = SwervePlant(robot.description, robot.state.split(x), SwervePerturbation(), 3)
     watching = SupervisionSettings(monitor=monitor)
     controller = RollingController(robot, np.zeros(3), period, goals, brakes=brakes.commanded, supervision=watching)
     for k in range(1000):
@@ -98,11 +99,11 @@ def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"stands on 2 wheels.*3 modules or more"):  # no advice about legs.goal
         swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(tmp_path / "ring.yaml")), 0)
     five = write_base(tmp_path, 5, True)
-    with pytest.raises(InputError, match=r"two front and two rear legs, one on each side"):
+    with pytest.raises(InputError, match=r"unknown configuration .X.; valid: 5 angles in rad"):
         leg_angles(load_robot(five), "X")
-    with pytest.raises(InputError, match=r"two front and two rear.*legs\.goal: angles, as \[0.2, 0.2, 0.2, 0.2, 0.2\]"):
+    with pytest.raises(InputError, match=r"unknown configuration.*legs\.goal: angles, as \[0.2, 0.2, 0.2, 0.2, 0.2\]"):
         swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(five)), 0)
-    with pytest.raises(InputError, match=r"two front and two rear"):
+    with pytest.raises(InputError, match=r"unknown configuration"):
         swerve_brakes.EXPERIMENT.run(swerve_brakes.SwerveBrakesSettings(robot=str(five)), 0)
     four = swerve_brakes.SwerveBrakesSettings(robot=str(write_base(tmp_path, 4, True, 0.25 * np.pi)))
     with pytest.raises(InputError, match=r"configuration A: .* outside its limits -1.2 to 1.2"):

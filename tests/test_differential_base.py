@@ -20,7 +20,7 @@ from wbmpc.default_problem import default_mpc
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 
 ROBOT = load_robot("differential-ur10")
 #: Of the built-in robot's file: half the distance of the wheels [m], how far they are behind the body's frame [m], radius [m].
@@ -125,7 +125,7 @@ def test_the_radius_is_read_from_the_shapes(tmp_path: Path):
 
 def test_a_perturbation_that_the_plant_does_not_read_is_an_error():
     with pytest.raises(InputError, match=r"plant\.steer_noise: .* does not read it; valid: "):
-        base_type("differential").plant(ROBOT, Perturbation(steer_noise=0.01), 0)
+        base_type("differential").plant(ROBOT, AnyPerturbation(steer_noise=0.01), 0)
 
 
 def test_what_the_plug_in_leaves_out_is_named_as_of_other_base_types():

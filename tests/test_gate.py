@@ -12,15 +12,15 @@ import pytest
 from driving import CONFIGURATIONS, Motion, drive
 from effort import some, thorough
 from wbmpc.bases.swerve.defaults import EndEffectorCost, StateCost, SwerveCost, swerve_problem
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, Solver, Status
 
 #: Quantized encoders (2^14 per turn) and N(0, 5 mrad) on every steering message, on top of the usual perturbations.
-NOISY = Perturbation(steer_noise=0.005)
+NOISY = SwervePerturbation(steer_noise=0.005)
 
 
 def speed_ratio(result, motion: Motion) -> float:

@@ -1,4 +1,4 @@
-"""The order of the rooms, read from the source: a module imports only from rooms before its own."""
+"""The order of the packages, read from the source: a module imports only from packages before its own."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
-ROOMS = (
+PACKAGES = (
     "errors", "interrupts", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file", "yaml_file",
     "configuration", "settings_table", "units", "plots", "result", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
-    "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "simulation", "settings",
+    "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "settings", "simulation",
     "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "study", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
 )  # fmt: skip
-#: Third-party packages and the only rooms that may use them: physics stays out of planning, drawing out of everything.
+#: Third-party packages and the only packages that may use them: physics stays out of planning, drawing out of everything.
 ONLY_IN = {
     "plotly": {"plots", "report", "study"},
     "distributed": {"study"},
@@ -58,12 +58,12 @@ ONLY_IN = {
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
 
 
-def room(path: Path) -> str:
-    return room_of(path.relative_to(SOURCE).with_suffix("").parts)
+def owner(path: Path) -> str:
+    return package_of(path.relative_to(SOURCE).with_suffix("").parts)
 
 
-def room_of(parts: Sequence[str]) -> str:
-    """The room of a module by its name below ``wbmpc``: the folders of base types are one of their own."""
+def package_of(parts: Sequence[str]) -> str:
+    """The package of a module by its name below ``wbmpc``: the folders of base types are one of their own."""
     if parts[0] == "bases" and len(parts) > 1 and (SOURCE / "bases" / parts[1]).is_dir():
         return "bases/TYPE"
     return parts[0]
@@ -104,37 +104,37 @@ def without_type_checking(tree: ast.Module) -> ast.Module:
     return Cut().visit(tree)  # type: ignore[no-any-return]
 
 
-def rooms_used(path: Path) -> set[str]:
+def packages_used(path: Path) -> set[str]:
     inside = [n.split(".")[1:] for n in imports_of(path) if n.split(".")[0] == "wbmpc"]
-    return {room_of(parts) for parts in inside if parts} - {"__version__"}
+    return {package_of(parts) for parts in inside if parts} - {"__version__"}
 
 
-def test_every_module_has_a_room() -> None:
-    assert {room(p) for p in MODULES} <= set(ROOMS)
+def test_every_module_is_in_a_package_of_the_order() -> None:
+    assert {owner(p) for p in MODULES} <= set(PACKAGES)
 
 
 def test_imports_point_upwards() -> None:
     wrong = []
     for path in MODULES:
-        own, used = ROOMS.index(room(path)), rooms_used(path)
-        # a public name of the package (``from wbmpc import load_robot``) would hide which room it comes from
-        late = sorted(name for name in used if name not in ROOMS or ROOMS.index(name) > own)
+        own, used = PACKAGES.index(owner(path)), packages_used(path)
+        # a public name of the package (``from wbmpc import load_robot``) would hide which package it comes from
+        late = sorted(name for name in used if name not in PACKAGES or PACKAGES.index(name) > own)
         if late:
             wrong.append(
-                f"{path.relative_to(SOURCE)} is in room '{ROOMS[own]}' and imports from none or later ones: {late}"
+                f"{path.relative_to(SOURCE)} is in package '{PACKAGES[own]}' and imports from none or later ones: {late}"
             )
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("package", ONLY_IN)
-def test_libraries_stay_in_their_rooms(package: str) -> None:
-    users = {room(p) for p in MODULES if package in {n.split(".")[0] for n in imports_of(p)}}
-    assert users <= ONLY_IN[package]
+@pytest.mark.parametrize("library", ONLY_IN)
+def test_libraries_are_used_where_they_may(library: str) -> None:
+    users = {owner(p) for p in MODULES if library in {n.split(".")[0] for n in imports_of(p)}}
+    assert users <= ONLY_IN[library]
 
 
 def test_an_mpc_knows_no_residual_by_its_class() -> None:
     """What it sets before a solve it finds by protocols of :mod:`wbmpc.ocp.symbols`, so that residuals of users take part."""
-    for path in (p for p in MODULES if room(p) in ("mpc", "solver", "runtime", "embedded")):
+    for path in (p for p in MODULES if owner(p) in ("mpc", "solver", "runtime", "embedded")):
         names = {n for n in imports_of(path) if n.startswith("wbmpc.ocp.") and "residuals" in n}
         assert not names, f"{path.relative_to(SOURCE)}: {sorted(names)}"
 
@@ -182,11 +182,11 @@ def test_the_check_sees_a_wrong_import() -> None:
     }
 
 
-def test_the_architecture_page_lists_the_rooms_in_this_command() -> None:
+def test_the_architecture_page_lists_the_packages_in_this_order() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text()
     rows = [cells.split("|")[1] for cells in page.splitlines() if re.match(r"\|\s*`[a-z0-9_]+(/TYPE)?(\.py|/)`", cells)]
     listed = [name for row in rows for name in re.findall(r"`([a-z0-9_]+(?:/TYPE)?)(?:\.py|/)`", row)]
-    assert listed == [name for name in ROOMS if name != "__main__"]
+    assert listed == [name for name in PACKAGES if name != "__main__"]
 
 
 CHECK = """
@@ -219,6 +219,28 @@ def test_importing_has_no_side_effects(tmp_path: Path) -> None:
     )
     assert (out.returncode, out.stdout, out.stderr) == (0, "", "")
     assert not (tmp_path / "cache").exists()
+
+
+CONTROLLER = """
+import sys
+import wbmpc.cli.ros2, wbmpc.ros2.control
+from wbmpc.bases import base_type
+from wbmpc.model.robot import load_robot
+from wbmpc.ros2.settings import settings_of
+for name in ('swerve-ur10', 'rezero', 'panda', 'differential-ur10'):
+    robot = load_robot(name)
+    base_type(robot.description.base.type).ros(robot, settings_of(robot)(), 1.0 / 400.0)
+print(*sorted(m for m in sys.modules if m.startswith('wbmpc.simulation') or m == 'wbmpc.experiment'))
+"""
+
+
+def test_a_controller_on_a_bus_loads_no_simulator(tmp_path: Path) -> None:
+    """What 'wbmpc ros2 control' imports and makes. MuJoCo itself is there: it reads the robots' files."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    out = subprocess.run(
+        [sys.executable, "-c", CONTROLLER], env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert (out.returncode, out.stdout, out.stderr) == (0, "\n", "")
 
 
 def of_the_machine(text: str) -> list[str]:

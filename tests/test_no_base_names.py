@@ -20,7 +20,7 @@ NAMES = re.compile(
 ROBOTS = re.compile(r"\b(" + "|".join(sorted(p.stem for p in (SOURCE / "robots" / "data").glob("*.yaml"))) + r")\b")
 #: "fetch" is an operation of generated code too.
 WORDS = re.compile(r"\bfetch\(|\.fetch\b")
-ROOMS = (
+PACKAGES = (
     "clearance", "mapping", "embedded", "study", "report", "plots", "tasks", "settings.py", "default_problem.py", "experiment.py", "registry.py",
     "reproduce.py", "result.py", "run_files.py", "run_index.py", "model", "obstacles", "ocp", "kernel", "solver", "mpc", "runtime",
     "simulation", "estimation", "control", "stability", "recording", "view", "ros2", "cli", "robots", "benchmark", "types.py", "compare.py",
@@ -30,7 +30,7 @@ DEFAULT_ROBOT = re.compile(r'robot: (?:str|Robot) = "[a-z0-9-]+"')
 
 
 def modules() -> list[str]:
-    found = (SOURCE / room for room in ROOMS)
+    found = (SOURCE / package for package in PACKAGES)
     files = [f for place in found for f in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
     return [f.relative_to(SOURCE).as_posix() for f in files]
 

@@ -16,7 +16,7 @@ from wbmpc.bases import base_type
 from wbmpc.bases.omnidirectional.plant import ROLLERS
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 
 ROBOT = load_robot("mecanum-ur10")
 #: Of the built-in robot's file: half the distances of the wheels along x and y [m], radius [m].
@@ -153,4 +153,4 @@ def test_what_is_no_omnidirectional_base_is_named(tmp_path: Path, wheels: Any, b
 
 def test_a_perturbation_that_the_plant_does_not_read_is_an_error():
     with pytest.raises(InputError, match=r"plant\.floor_cables: .* does not read it; valid: "):
-        base_type("omnidirectional").plant(ROBOT, Perturbation(floor_cables=0.01), 0)
+        base_type("omnidirectional").plant(ROBOT, AnyPerturbation(floor_cables=0.01), 0)

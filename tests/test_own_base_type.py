@@ -12,6 +12,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 import pytest
+from pydantic import Field
 
 from wbmpc import MPC, Constraint, Cost, Observation, OptimalControlProblem, Reference, bases, residuals, sets
 from wbmpc.bases.base import BaseDescription, BaseType, System
@@ -22,8 +23,10 @@ from wbmpc.model.kinematics import Chain, FramePose, constant
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.tree import read_tree
 from wbmpc.runtime.shared_memory import Mailbox
+from wbmpc.simulation.any_perturbation import AnyPerturbation, models
 from wbmpc.simulation.kept_calibration import plugin_folders
 from wbmpc.simulation.lockstep import Ending, Running, Timing
+from wbmpc.simulation.perturbation import Perturbation, perturbation_model
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Footprint
@@ -178,6 +181,12 @@ class RailController:
         return Speeds(np.zeros(2))
 
 
+class RailPerturbation(Perturbation):
+    """``bend`` [rad]: how crooked the rail is."""
+
+    bend: float = Field(default=0.01, ge=0, le=1)
+
+
 class RailBaseType(BaseType):
     """What another package would have in its plug-in: description, model and a simulated system; nothing for ROS 2."""
 
@@ -190,6 +199,9 @@ class RailBaseType(BaseType):
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> RailBase:
         return RailBase(description, spec)
+
+    def perturbation(self) -> type[RailPerturbation]:
+        return RailPerturbation
 
     def plant(self, robot: RobotModel, perturbation: Any, seed: int) -> RailPlant:
         return RailPlant(robot)
@@ -243,6 +255,16 @@ def gantry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     yield tmp_path / "gantry.yaml"
     monkeypatch.undo()
     forget()
+
+
+def test_its_perturbation_is_a_setting_of_experiments_of_any_robot(gantry: Path) -> None:
+    assert perturbation_model("rail") is RailPerturbation and RailPerturbation in models()
+    every = type("Every", models(), {"__module__": __name__})
+    given, description = every(bend=0.3, mass=0.1, brake_delay=0.0), load_robot(gantry).description
+    assert RailPerturbation.of(given, description) == RailPerturbation(bend=0.3, mass=0.1)
+    with pytest.raises(InputError, match=r"plant\.bend: .*'panda'.* does not read it"):
+        perturbation_model("fixed").of(given, load_robot("panda").description)
+    assert not hasattr(AnyPerturbation(), "bend")  # made before the package was there
 
 
 def mujoco_tip(x: np.ndarray) -> np.ndarray:

@@ -13,14 +13,14 @@ from wbmpc.bases import base_type
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.tasks import reference_drive
 from wbmpc.tasks.loop import make_system
 from wbmpc.tasks.settings import TaskSettings
 
 WHEELS = [((0.0, 0.2), (0.0, 1.0, 0.0)), ((0.0, -0.2), (0.0, 1.0, 0.0))]
 #: Radii that differ, and nothing else.
-PLANT = Perturbation.none(wheel_radius_each=0.01)
+PLANT = AnyPerturbation.none(wheel_radius_each=0.01)
 
 
 @pytest.fixture(scope="module")

@@ -145,10 +145,10 @@ def test_the_simulated_arm_moves_as_its_model(standing: Path) -> None:
     """Without perturbation MuJoCo's tip is where the model's kinematics have it."""
     from wbmpc.bases import base_type
     from wbmpc.control.direct import InputCommand
-    from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.any_perturbation import AnyPerturbation
 
     robot = wb.load_robot(standing)
-    plant = base_type("fixed").plant(robot, Perturbation.none(), 0)
+    plant = base_type("fixed").plant(robot, AnyPerturbation.none(), 0)
     plant.step(InputCommand(np.array([0.5, -0.3]), np.zeros(1)), 400)
     plant.step(InputCommand(np.zeros(2), np.zeros(1)), 200)
     truth = plant.truth()

@@ -82,11 +82,11 @@ def test_the_base_makes_up_for_a_lean_where_the_arm_cannot(tmp_path: Path) -> No
 
 def test_a_simulated_robot_on_soft_casters_knows_its_lean_and_one_on_rigid_wheels_needs_none() -> None:
     from wbmpc.bases import base_type
-    from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.any_perturbation import AnyPerturbation
 
     robot = load_robot("fetch")
     kind = base_type("differential")
-    plant = kind.plant(robot, Perturbation(accel_bias=0.0), 3)
+    plant = kind.plant(robot, AnyPerturbation(accel_bias=0.0), 3)
     controller = kind.controller()(robot, plant.truth().pose, 0.0025, lag=0.02)
     for _ in range(round(4.0 / 0.0025)):
         controller.measure(plant.measure())

@@ -16,7 +16,7 @@ from wbmpc import lie
 from wbmpc.bases.planar_motion.messages import PlanarCommand
 from wbmpc.bases.wheels.control import WheelsOdometry
 from wbmpc.robots import load_spec
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.tasks.following import PathTaskSettings
 from wbmpc.tasks.track import EXPERIMENT
 
@@ -149,7 +149,7 @@ def test_steered_tires_roll_in_the_plan(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("kind", "base"), [("tricycle", {}), ("beside", {"casters": [[0.3, 0.0], [-0.3, 0.0]]})])
 def test_it_drives_ahead_in_mujoco(kind: str, base: dict[str, Any], tmp_path: Path) -> None:
     robot = wb.load_robot(write(tmp_path, KINDS[kind], **base))
-    plant = wb.base_type("wheels").plant(robot, Perturbation.none(), 0)
+    plant = wb.base_type("wheels").plant(robot, AnyPerturbation.none(), 0)
     driven = len(robot.description.base.wheel_joints())
     command = PlanarCommand(np.full(driven, 0.3 / RADIUS), np.zeros(2), np.zeros(robot.base.steering))
     plant.step(command, round(1.0 / plant.timestep))

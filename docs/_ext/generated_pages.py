@@ -115,12 +115,12 @@ def settings_tables() -> str:
     from wbmpc.robots.description import RobotDescription
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.settings import ControlSettings, MpcSettings
-    from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.any_perturbation import AnyPerturbation
 
     shared = (("`mpc.…` of experiments", MpcSettings), ("`control.…` of experiments", ControlSettings),
-              ("`plant.…` of experiments: the perturbation", Perturbation))  # fmt: skip
+              ("`plant.…` of experiments: the perturbation", AnyPerturbation))  # fmt: skip
     parts = [_section(title, model) for title, model in shared]
-    sections = (("mpc.", MpcSettings), ("control.", ControlSettings), ("plant.", Perturbation))
+    sections = (("mpc.", MpcSettings), ("control.", ControlSettings), ("plant.", AnyPerturbation))
     usual = {row for prefix, model in sections for row in _rows(model, prefix)}
     for name, experiment in experiments.items():
         parts.append(_section(f"`{name}`", experiment.config_type, usual))

@@ -19,7 +19,7 @@ from wbmpc.run_files import read_metrics
 from wbmpc.units import Scale, scale, with_unit
 
 #: Levels below the directory that are searched, and runs that are read, at most.
-DEEPEST, MOST = 5, 20_000
+DEEPEST, MAX_RUNS = 5, 20_000
 REPORT, METRICS = "report.html", "metrics.json"
 
 
@@ -61,7 +61,7 @@ class Entry:
 def find_runs(root: Path) -> list[Entry]:
     """The runs below ``root``, the newest first. Links to directories are not followed; a damaged metrics.json is an entry with a note.
 
-    Raises :class:`InputError` if ``root`` is no directory, or holds more than :data:`MOST` runs.
+    Raises :class:`InputError` if ``root`` is no directory, or holds more than :data:`MAX_RUNS` runs.
     """
     if not root.is_dir():
         raise InputError(f"{root}: there is no such directory; runs are in 'runs' unless --out was given")
@@ -69,8 +69,8 @@ def find_runs(root: Path) -> list[Entry]:
     for directory, files in folders(root):
         if METRICS not in files:
             continue
-        if len(found) == MOST:
-            raise InputError(f"{root}: has more than {MOST} runs; give a directory below it")
+        if len(found) == MAX_RUNS:
+            raise InputError(f"{root}: has more than {MAX_RUNS} runs; give a directory below it")
         found.append(_read(directory / METRICS))
     return sorted(found, key=lambda entry: (entry.ended, str(entry.directory)), reverse=True)
 

@@ -10,8 +10,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from wbmpc.configuration import kind_alone, reject_booleans, reject_unread
 from wbmpc.robots import load_description
-from wbmpc.simulation.localization import Localization
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP, InteriorPoint
 
 #: Weights, gains and thresholds are numbers up to this: squares and products of larger ones leave the range of numbers.
@@ -129,25 +127,3 @@ class ControlSettings(Settings):
     """``rate`` [Hz]: rate of the tracking controller."""
 
     rate: float = Field(400.0, gt=0, ge=1e-3, le=10_000)
-
-
-class LidarSettings(Settings):
-    """A simulated source of global poses, as a LIDAR with a map is: ``rate`` [Hz]: rate of the poses; ``age`` [s]: age of a measurement
-    at its delivery; ``position`` [m]: standard deviation of each coordinate; ``yaw`` [rad]: standard deviation of the heading."""
-
-    rate: float = Field(10.0, gt=0, le=1000)
-    age: float = Field(0.050, ge=0, le=0.4)
-    position: float = Field(0.005, gt=0, le=100)
-    yaw: float = Field(0.002, gt=0, le=3.2)
-
-    def source(self, seed: int) -> Localization:
-        """The simulated source."""
-        return Localization(self.rate, self.age, self.position, self.yaw, seed)
-
-
-class ExperimentSettings(Settings):
-    """What every experiment has."""
-
-    mpc: MpcSettings = MpcSettings()
-    control: ControlSettings = ControlSettings()
-    plant: Perturbation = Perturbation()

@@ -11,12 +11,12 @@ from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
 from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
 
 ROBOT = load_robot("rezero")
 HOME = ROBOT.home
@@ -44,7 +44,7 @@ def test_torques_of_both_back_ends(scale: float) -> None:
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_what_the_sensors_see(backend: str) -> None:
     """Truth: the same integrals by SciPy's rotations, over random motions; both back ends."""
-    rng, h, p = np.random.default_rng(2), 5e-4, Perturbation.none()
+    rng, h, p = np.random.default_rng(2), 5e-4, BallPerturbation.none()
     wheels, mount = WheelGeometry(rng.normal(size=(4, 3))), rng.normal(size=3)
     draw = p.draw(np.random.default_rng(0), [], 4, 3)
     sensors = BallSensors(p, draw, wheels, mount, h, 0, rng, (14, 12), (10, 9), backend)  # type: ignore[arg-type]
@@ -85,7 +85,7 @@ def rng_surprise(k: int) -> np.ndarray:
 
 def test_the_estimated_state_is_that_of_the_filter() -> None:
     """Truth: MuJoCo's pose and velocity for a filter that is set to them; the yaw goes on over a whole turn. Copies are on their own."""
-    plant = BallPlant(ROBOT.description, HOME, None, Perturbation.none())
+    plant = BallPlant(ROBOT.description, HOME, None, BallPerturbation.none())
     estimator, d = BallEstimator(ROBOT, HOME), plant.data
     rng, mount, expected = np.random.default_rng(4), plant.sensors.mount, 0.0
     for k in range(9):

@@ -10,13 +10,13 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.registry import REGISTRY
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
@@ -79,7 +79,7 @@ def test_bad_gains_are_named() -> None:
 def test_drives_close_the_loop_between_commands() -> None:
     """One command, held: the drives pull the elbow to where it says, against MuJoCo's gravity fed forward."""
     home, torque = BALL.base.numeric.equilibrium(BALL.home[5:N])
-    still = Perturbation(
+    still = BallPerturbation(
         mass=0.0, inertia=0.0, com_offset=0.0, joint_offset=0.0, actuator_time_constant=0.002, actuator_time_constant_spread=0.0
     )  # fmt: skip
     plant = BallPlant(BALL.description, home, torque, still, 0)

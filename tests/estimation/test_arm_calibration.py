@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.estimation.arm_calibration import ZERO_STD, calibrate_arm
-from wbmpc.simulation.perturbation import Perturbation
 
 SWERVE = robot("swerve-ur10")
 STD = 1e-4
@@ -19,7 +19,10 @@ STD = 1e-4
 def tracked() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Zeros (6), encoders (20, 6) and noisy positions (20, 3) in axes of the base."""
     rng, part = np.random.default_rng(3), SWERVE.state["arm"]
-    offset, plant = rng.uniform(-2e-3, 2e-3, 6), SwervePlant(SWERVE.description, None, Perturbation.none(), settle=0.0)
+    offset, plant = (
+        rng.uniform(-2e-3, 2e-3, 6),
+        SwervePlant(SWERVE.description, None, SwervePerturbation.none(), settle=0.0),
+    )
     arm = SWERVE.home[part] + rng.uniform(-0.7, 0.7, (20, 6))
     places = []
     for angles in arm:

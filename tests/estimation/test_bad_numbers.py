@@ -23,7 +23,8 @@ from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.disturbance import DisturbanceObserver
-from wbmpc.estimation.fused_odometry import AHEAD, FusedOdometry
+from wbmpc.estimation.fused_odometry import FusedOdometry
+from wbmpc.estimation.late_poses import AHEAD
 from wbmpc.estimation.payload import ArmScale
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import WheelOdometry

@@ -24,7 +24,7 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.bases.base import InertialDescription
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 
 H, SEEDS = 0.0025, draws(8, 50)
 ROBOT = robot("rezero")
@@ -138,7 +138,11 @@ class Balancing:
 
     def __init__(self, seed: int, *faults: SensorFault, **changes: float) -> None:
         self.plant = BallPlant(
-            ROBOT.description, HOME, TORQUE, Perturbation(state_age=0.0, actuator_time_constant=0.01, **changes), seed
+            ROBOT.description,
+            HOME,
+            TORQUE,
+            AnyPerturbation(state_age=0.0, actuator_time_constant=0.01, **changes),
+            seed,
         )
         self.plant.sensors.faults = faults
         self.estimator = BallEstimator(ROBOT, HOME)

@@ -240,7 +240,7 @@ def test_a_log_of_a_robot_with_other_legs_is_rejected(
     with pytest.raises(InputError, match=message):
         replay(geometry, WheelRecord.of({**SOUND, **changed}))
     standing = 3e-4 * (np.arange(44).reshape(11, 4) % 3 == 0)
-    assert replay(geometry, WheelRecord.of({**SOUND, "leg": standing})).taken == 3
+    assert replay(geometry, WheelRecord.of({**SOUND, "leg": standing})).global_poses.taken == 3
 
 
 def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
@@ -258,7 +258,7 @@ def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
     for at, order in ((ends, [0, 1]), (ends + [-1.0, 1.0], [0, 1]), (ends + [-0.02, 0.02], [1, 0])):
         there = WheelRecord.of({**channels, "place": two[order], "place.time": at[order]})
         found = replay(UNEVEN, there, prior=prior())
-        assert found.taken == 2
+        assert found.global_poses.taken == 2
         zeros.append(found.calibration.steer_offset)
     np.testing.assert_allclose(zeros[1:], [zeros[0]] * 2, atol=1e-15)
     known = found.calibration.covariance[:4, :4].mean() ** 0.5  # 0.5 mm at both ends of 0.8 m; 1 mrad before

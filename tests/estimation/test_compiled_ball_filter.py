@@ -25,7 +25,9 @@ def geometry(rng: np.random.Generator) -> BallGeometry:
 
 
 def memory_of(g: BallGeometry, noise: BallNoise) -> FilterMemory:
-    return FilterMemory(g, noise, gate_arrays(InertialDescription(), GRAVITY), "compiled", still=1e-4, most=1e-2)
+    return FilterMemory(
+        g, noise, gate_arrays(InertialDescription(), GRAVITY), "compiled", still=1e-4, largest_step=1e-2
+    )
 
 
 def rolling(g: BallGeometry, rng: np.random.Generator, count: int):  # type: ignore[no-untyped-def]

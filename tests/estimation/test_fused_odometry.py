@@ -10,7 +10,8 @@ from wheels_on_paper import Drawn, fit_twist, ring
 
 from effort import draws, some
 from wbmpc.errors import InputError
-from wbmpc.estimation.fused_odometry import PATIENCE, FusedOdometry
+from wbmpc.estimation.fused_odometry import FusedOdometry
+from wbmpc.estimation.late_poses import PATIENCE
 from wbmpc.estimation.odometry_filter import OdometryNoise
 from wbmpc.estimation.odometry_step import BIAS
 from wbmpc.estimation.wheel_calibration import WheelCalibration
@@ -222,7 +223,7 @@ def test_late_global_poses_bound_the_error() -> None:
         odometry = filtered(base, lidar=LIDAR)
         errors.append(base.poses[-1] - odometry.pose)
         pose.append(squared(errors[-1], odometry.covariance))
-        assert odometry.rejected == 0
+        assert odometry.global_poses.rejected == 0
     assert np.sqrt(np.mean(np.sum(np.square(errors)[:, :2], axis=1))) < 0.010
     assert consistent(pose, 3), np.mean(pose)
 
@@ -256,7 +257,7 @@ def test_a_pose_that_cannot_be_is_rejected_and_a_lost_filter_finds_back() -> Non
             np.testing.assert_array_equal(odometry.pose, previous)
         if k >= 100 and k % 5 == 0:  # the world says again and again that the base was carried away
             odometry.correct(t, base.poses[-1] + [1.0, 0.0, 0.0], small)
-    assert odometry.rejected == PATIENCE  # in a row: nothing was taken in between
+    assert odometry.global_poses.rejected == PATIENCE  # in a row: nothing was taken in between
     np.testing.assert_allclose(odometry.pose, base.poses[-1] + [1.0, 0.0, 0.0], atol=0.01)
 
 
@@ -298,7 +299,7 @@ def test_what_is_no_covariance_is_rejected(covariance: np.ndarray) -> None:
     ):
         with pytest.raises(InputError, match="covariance"):
             take()
-    assert odometry.taken == 0 and not odometry.covariance.any()
+    assert odometry.global_poses.taken == 0 and not odometry.covariance.any()
 
 
 def test_poses_of_no_time_and_of_the_future_do_not_count() -> None:
@@ -308,7 +309,7 @@ def test_poses_of_no_time_and_of_the_future_do_not_count() -> None:
         with pytest.raises(InputError, match="time must be finite"):
             odometry.correct(t, [0.01, 0.0, 0.0], 1e-4 * np.eye(3))
     assert not odometry.correct(100.0, [0.01, 0.0, 0.0], 1e-4 * np.eye(3))
-    assert odometry.taken == 0 and not odometry.pose.any()
+    assert odometry.global_poses.taken == 0 and not odometry.pose.any()
     assert odometry.correct(1.005, [0.01, 0.0, 0.0], 1e-4 * np.eye(3))  # on its way: as of the last message
 
 
@@ -347,13 +348,13 @@ def test_a_certain_pose_against_a_certain_filter_loses_nothing(covariance: np.nd
             filter.update(0.01 * k, *np.zeros((3, 4)))
     with pytest.raises(InputError, match=r"both 0 in a direction.*place\(\)"):
         odometry.correct(0.005, [0.01, 0.01, 0.01], covariance)
-    assert len(odometry._past) == len(other._past) == 4
+    assert len(odometry.global_poses.past) == len(other.global_poses.past) == 4
     for filter in (odometry, other):
-        assert filter.correct(0.005, [0.0, 0.0, 0.0], 1e-4 * np.eye(3)) and len(filter._past) == 4
+        assert filter.correct(0.005, [0.0, 0.0, 0.0], 1e-4 * np.eye(3)) and len(filter.global_poses.past) == 4
         filter.update(0.05, *np.full((3, 4), 0.1))
     np.testing.assert_array_equal(odometry.pose, other.pose)
     np.testing.assert_array_equal(odometry.covariance, other.covariance)
-    assert (odometry.taken, odometry.rejected) == (1, 0)
+    assert (odometry.global_poses.taken, odometry.global_poses.rejected) == (1, 0)
 
 
 def test_a_place_that_is_well_known_and_a_yaw_that_is_not_are_no_certain_pose() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
-from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, FOLLOW, LEAST, NEAR
+from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, FOLLOW, MIN_SHARE, NEAR
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.slipping_wheels import OVER
@@ -78,7 +78,7 @@ def test_the_step(backend: Backend) -> None:
         off = seen.reshape(4, 2) - average
         weights = 1.0 / (1.0 + np.sum(off**2, axis=1) / NEAR**2)
         weights = np.where(known, np.minimum(weights, 0.05), weights)
-        step = H / FOLLOW * max(weights.mean(), LEAST) * (weights @ off) / weights.sum()
+        step = H / FOLLOW * max(weights.mean(), MIN_SHARE) * (weights @ off) / weights.sum()
         v, average, zero = v + step, average + step, zero - step / ACCELERATION_ZEROS
         np.testing.assert_allclose(found.weights, weights, rtol=1e-9)
         np.testing.assert_allclose(found.velocity, v, atol=1e-12)

@@ -7,10 +7,10 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.momentum import MomentumObserver, SensorlessForce
 
 ROBOT, PUSHED = robot("rezero"), load_robot("rezero", contact="force")
@@ -18,7 +18,7 @@ HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 FORCE = np.array([3.0, -1.5, 2.0])  # under which no joint gets faster than its drive in 0.1 s
 
 
-def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
+def felt(perturbation: BallPerturbation, seed: int = 0) -> np.ndarray:
     """Estimates (n, 3) at 400 Hz: 0.1 s free, then 0.15 s under the force at the end effector, while the arm's torques vary."""
     plant = BallPlant(ROBOT.description, HOME, TORQUE, perturbation, seed)
     sensorless, out = SensorlessForce(PUSHED), []
@@ -37,7 +37,7 @@ def felt(perturbation: Perturbation, seed: int = 0) -> np.ndarray:
 def test_force_at_the_hand_is_found() -> None:
     """With a plant like the model, 0.1 s after its onset (three time constants of the observer); the ball's soft contact and
     its spin friction are not in the model."""
-    found = felt(Perturbation.none(actuator_time_constant=0.0))
+    found = felt(BallPerturbation.none(actuator_time_constant=0.0))
     assert np.abs(found[39]).max() < 0.3
     assert found[80] == pytest.approx(FORCE, abs=0.12 * np.linalg.norm(FORCE))
     early = found[45] @ FORCE / (FORCE @ FORCE)

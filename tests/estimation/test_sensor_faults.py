@@ -14,8 +14,8 @@ from test_ball_filter import HOME, ROBOT, TORQUE, regulator
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
-from wbmpc.simulation.perturbation import Perturbation
 
 H, COUNT = 0.0025, 2.0 * np.pi / 2**17
 #: When [s] the faults begin, and when they are looked at last.
@@ -33,7 +33,7 @@ class Sound(NamedTuple):
 
 @cache
 def sound() -> Sound:
-    p = Perturbation(state_age=0.0, actuator_time_constant=0.01)
+    p = BallPerturbation(state_age=0.0, actuator_time_constant=0.01)
     plant, estimator, limit = BallPlant(ROBOT.description, HOME, TORQUE, p, 0), BallEstimator(ROBOT, HOME), 4.0
     messages, states = [], []
     for k in range(round(END / H)):

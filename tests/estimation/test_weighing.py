@@ -15,6 +15,7 @@ from toys import robot
 from wbmpc.bases import base_type
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.configuration import configure
 from wbmpc.default_problem import carry
 from wbmpc.errors import InputError
@@ -24,7 +25,6 @@ from wbmpc.ocp import Reference
 from wbmpc.registry import load
 from wbmpc.robots import load_spec
 from wbmpc.settings import MpcSettings, WheelLoadSettings
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.solver import SQP
 
 NAMES = ("swerve-ur10", "differential-ur10", "pr2")
@@ -64,7 +64,7 @@ def place_of(m: mujoco.MjModel, tool: str) -> int:
     return int(m.site(tool).id if tool in site_names(m) else m.body(tool).id)
 
 
-def weighed(model: RobotModel, perturbation: Perturbation, seed: int, seconds: float = 1.0) -> ArmScale:
+def weighed(model: RobotModel, perturbation: SwervePerturbation, seed: int, seconds: float = 1.0) -> ArmScale:
     """A scale that has watched a robot at rest."""
     plant, scale = base_type(model.description.base.type).plant(model, perturbation, seed), ArmScale(model)
     for _ in range(round(seconds / 0.01)):
@@ -87,16 +87,16 @@ def rest(measured: object) -> object:
 def test_a_mass_is_weighed_exactly_by_exact_drives_and_within_half_a_kilogram_by_others(name: str) -> None:
     model = robot(name)
     for mass in (0.0, 1.5):
-        assert weighed(model, Perturbation.none(payload=mass), 0).mass == pytest.approx(mass, abs=0.02)
+        assert weighed(model, SwervePerturbation.none(payload=mass), 0).mass == pytest.approx(mass, abs=0.02)
     for seed in range(3):
-        scale = weighed(model, Perturbation(payload=1.5), seed)
+        scale = weighed(model, SwervePerturbation(payload=1.5), seed)
         assert scale.mass == pytest.approx(1.5, abs=0.5)
         assert scale.deviation < 1.0
 
 
 def test_a_mass_is_known_soon_after_it_is_gripped_and_kept_while_the_arm_moves() -> None:
     model = robot("swerve-ur10")
-    plant, scale = base_type("swerve").plant(model, Perturbation.none(payload=0.01), 0), ArmScale(model)
+    plant, scale = base_type("swerve").plant(model, SwervePerturbation.none(payload=0.01), 0), ArmScale(model)
     at, found = plant.model.body("payload").id, {}
     for k in range(300):
         if k == 100:

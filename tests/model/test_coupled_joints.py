@@ -16,7 +16,7 @@ from wbmpc.control.direct import InputCommand
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.robots.doctor import examine_robot
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
 
@@ -98,7 +98,7 @@ def test_a_leader_does_what_its_followers_can(robot: RobotModel) -> None:
 
 
 def test_the_simulated_stages_move_together(robot: RobotModel) -> None:
-    plant = FixedPlant(robot, Perturbation.none())
+    plant = FixedPlant(robot, AnyPerturbation.none())
     joint = lambda name: float(plant.data.joint(name).qpos[0])
     start = joint("one")
     assert joint("two") == pytest.approx(0.5 * start + 0.02, abs=1e-4)

@@ -17,7 +17,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description, load_spec
 from wbmpc.robots.description import DATA
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant
 
 START, END, ARM, LEG = "<worldbody>", "</worldbody>", '<joint name="lift"', '<joint name="m1_leg"'
@@ -42,7 +42,7 @@ def ring(folder: Path, *replace: tuple[str, str], **keys: Any) -> Path:
 
 
 def model_of(path: Path) -> mujoco.MjModel:
-    return SwervePlant(load_robot(path).description, None, Perturbation(), 1, settle=0.0).model
+    return SwervePlant(load_robot(path).description, None, AnyPerturbation(), 1, settle=0.0).model
 
 
 def numbers(model: mujoco.MjModel) -> dict[str, np.ndarray]:
@@ -104,7 +104,7 @@ def test_a_robot_stands_on_the_tires_of_the_plant(tmp_path: Path) -> None:
     path = ring(tmp_path, (TIRE, '<geom type="cylinder" size="0.08 0.02" euler="1.5708 0 0"/>'),
                 (f'{HULL} contype="0" conaffinity="0"/>', '<geom type="cylinder" size="0.35 0.40"/>'))  # fmt: skip
     robot = load_robot(path)
-    plant = SwervePlant(robot.description, None, Perturbation.none(), 0, settle=0.3)
+    plant = SwervePlant(robot.description, None, AnyPerturbation.none(), 0, settle=0.3)
     assert plant.truth().wheel_force.sum() == pytest.approx(plant.weight, rel=0.02)
     assert plant.data.qpos[2] == pytest.approx(robot.base.body_height, abs=1e-3)
 
@@ -120,7 +120,7 @@ def test_masses_from_shapes_are_the_planners_and_vary_in_the_simulator(tmp_path:
     hull = np.pi * 0.35**2 * 0.16 * 1000.0
     robot = load_robot(path)
     assert robot.tree.links[0].mass == pytest.approx(hull)
-    plant = SwervePlant(robot.description, None, Perturbation(mass=0.3), 1, settle=0.0)
+    plant = SwervePlant(robot.description, None, AnyPerturbation(mass=0.3), 1, settle=0.0)
     drawn = plant.draw.mass["hull"]
     assert abs(drawn - 1.0) > 0.01 and plant.model.body("hull").mass[0] == pytest.approx(drawn * hull)
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from toys import robot
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.ocp import residuals
 from wbmpc.ocp.symbols import Symbols
-from wbmpc.simulation.perturbation import Perturbation
 
 SWERVE = robot("swerve-ur10")
 
 
 def _pose_of_the_tool(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position and quaternion by MuJoCo."""
-    plant = SwervePlant(SWERVE.description, None, Perturbation.none(), settle=0.0)
+    plant = SwervePlant(SWERVE.description, None, SwervePerturbation.none(), settle=0.0)
     plant.arrange(x)
     truth, quaternion = plant.truth(), np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, truth.tool_rotation.ravel())

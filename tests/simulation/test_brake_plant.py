@@ -8,11 +8,11 @@ import pytest
 from effort import thorough
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.perturbation import StuckBrake, SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.registry import REGISTRY
-from wbmpc.simulation.perturbation import Perturbation, StuckBrake
 
 
 def test_torque_rises_and_falls_within_the_delay() -> None:
@@ -65,7 +65,7 @@ def test_the_experiment_reaches_its_goals() -> None:
 
 def test_a_brake_fails_as_the_settings_say() -> None:
     robot = load_robot("swerve-ur10")
-    settings = Perturbation.none(brake_fault=StuckBrake(kind="open", leg=2, time=0.01))
+    settings = SwervePerturbation.none(brake_fault=StuckBrake(kind="open", leg=2, time=0.01))
     plant = SwervePlant(robot.description, None, settings)
     plant.step(SwerveCommand.stop(4, 6), 10)
     assert plant.brakes.engaged == pytest.approx(np.ones(4))
@@ -82,6 +82,6 @@ def test_a_brake_fails_as_the_settings_say() -> None:
     ],
 )
 def test_a_brake_that_is_not_there_cannot_fail(name: str, leg: int, words: str) -> None:
-    settings = Perturbation(brake_fault=StuckBrake(kind="closed", leg=leg))
+    settings = SwervePerturbation(brake_fault=StuckBrake(kind="closed", leg=leg))
     with pytest.raises(InputError, match=words):
         SwervePlant(load_robot(name).description, None, settings)

@@ -11,7 +11,7 @@ from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 
 BALL = robot("rezero")
 
@@ -21,7 +21,7 @@ def test_a_ball_on_a_cable_is_as_much_higher_as_the_cable() -> None:
     state = home.copy()
     state[0] = 0.1  # a cable lies there
     for height in (0.005, 0.01):
-        plant = BallPlant(BALL.description, state, torque, Perturbation(floor_cables=height), 0)
+        plant = BallPlant(BALL.description, state, torque, AnyPerturbation(floor_cables=height), 0)
         data = plant.data
         touched = [
             plant.model.geom(int(g)).type[0]
@@ -38,7 +38,7 @@ def test_between_cables_nothing_changes() -> None:
     home, torque = BALL.base.numeric.equilibrium(BALL.home[5:8])
     ends = []
     for height in (0.0, 0.005):
-        plant = BallPlant(BALL.description, home, torque, Perturbation(floor_cables=height), 0)
+        plant = BallPlant(BALL.description, home, torque, AnyPerturbation(floor_cables=height), 0)
         for _ in range(20):
             plant.step(BallCommand(torque), 5)
         ends.append(plant.state())
@@ -47,4 +47,4 @@ def test_between_cables_nothing_changes() -> None:
 
 def test_swerve_robots_reject_them() -> None:
     with pytest.raises(InputError, match=r"plant\.floor_cables"):
-        SwervePlant(robot("swerve-ur10").description, perturbation=Perturbation(floor_cables=0.005))
+        SwervePlant(robot("swerve-ur10").description, perturbation=AnyPerturbation(floor_cables=0.005))

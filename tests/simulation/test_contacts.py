@@ -12,11 +12,11 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.contacts import FLOOR, HULL, OBSTACLE, ROLLS
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.simulation.perturbation import Perturbation
 
-IDEAL = Perturbation.none()
+IDEAL = AnyPerturbation.none()
 SWERVE, BALL = load_robot("swerve-ur10"), load_robot("rezero")
 STOP = SwerveCommand.stop(4, 6)
 

@@ -8,8 +8,8 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.errors import InputError
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.tip import ForceSensor
 from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant
 
@@ -20,7 +20,7 @@ HAND = ROBOT.pose(HOME)[0]
 
 def plant(gap: float = 0.0, sensor: ForceSensor | None = None, **door) -> DoorPlant:  # type: ignore[no-untyped-def]
     place = Door((HAND[0] + gap + 0.04, HAND[1] + 0.7), **door)
-    ideal = Perturbation.none(actuator_time_constant=0.0)
+    ideal = BallPerturbation.none(actuator_time_constant=0.0)
     return DoorPlant(ROBOT.description, place, HOME, TORQUE, ideal, sensor=sensor or ForceSensor(0.0, 0.0))
 
 
@@ -64,7 +64,7 @@ def test_robot_with_a_lean_pushes_the_door_and_the_sensor_reads_it() -> None:
     state, torque = ROBOT.base.numeric.equilibrium(HOME[5:8], force=(-8.0, 0.0, 0.0))
     end_effector = ROBOT.pose(state)[0]
     door = Door((end_effector[0] + 0.0395, end_effector[1] + 0.7), locked=True)
-    ideal = Perturbation.none(actuator_time_constant=0.0)
+    ideal = BallPerturbation.none(actuator_time_constant=0.0)
     p = DoorPlant(ROBOT.description, door, state, torque, ideal, sensor=ForceSensor(0.0, 0.0))
     p.step(BallCommand(torque), 300)
     force, reading = p.contact_force(), p.truth().tool_rotation @ p.measure().force
@@ -94,7 +94,7 @@ def test_force_on_the_panel_is_that_of_the_last_step_from_the_first_touch_on() -
         Door((end_effector[0] + 0.0405, end_effector[1] + 0.7)),
         state,
         torque,
-        Perturbation.none(actuator_time_constant=0.0),
+        BallPerturbation.none(actuator_time_constant=0.0),
     )
     assert not p.contact_force().any()
     previous, found = mujoco.MjData(p.model), []

@@ -11,20 +11,21 @@ import scipy.signal
 
 from effort import some
 from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.perturbation import SeriesElasticDrives
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.elastic_drives import HEAD_ROOM, ElasticDrives
-from wbmpc.simulation.perturbation import Perturbation, SeriesElasticDrives
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2
 ROBOT = load_robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
 #: All drives behind springs, and nothing else that differs from the model.
-ELASTIC = Perturbation.none(
+ELASTIC = AnyPerturbation.none(
     actuator_time_constant=0.0,
     drives=SeriesElasticDrives(spring_damping=0.0, torque_gain=1.0, torque_damping=0.0),
 )
@@ -166,7 +167,7 @@ def test_a_robot_at_rest_does_not_notice_its_springs() -> None:
 
 
 def test_springs_delay_torques_and_rigid_drives_do_not() -> None:
-    rigid = BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0))
+    rigid = BallPlant(ROBOT.description, HOME, TORQUE, AnyPerturbation.none(actuator_time_constant=0.0))
     rigid.step(BallCommand(TORQUE + 1.0))
     np.testing.assert_allclose(rigid.torque, TORQUE + 1.0, atol=1e-9)
     plant = BallPlant(ROBOT.description, HOME, TORQUE, ELASTIC)
@@ -181,7 +182,7 @@ def test_springs_delay_torques_and_rigid_drives_do_not() -> None:
 def test_dead_time() -> None:
     """A torque acts after the dead time, not before."""
     plant = BallPlant(
-        ROBOT.description, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0, actuator_dead_time=0.003)
+        ROBOT.description, HOME, TORQUE, AnyPerturbation.none(actuator_time_constant=0.0, actuator_dead_time=0.003)
     )
     plant.step(BallCommand(TORQUE + 1.0), 6)
     np.testing.assert_allclose(plant.torque, TORQUE, atol=1e-12)
@@ -194,7 +195,7 @@ def test_a_dead_time_that_is_no_whole_step_is_rejected(time: float) -> None:
     with pytest.raises(
         InputError, match=r"plant\.actuator_dead_time: .* whole number of physics steps of 0\.5 ms; valid: e\.g\. "
     ):
-        BallPlant(ROBOT.description, HOME, TORQUE, Perturbation.none(actuator_dead_time=time))
+        BallPlant(ROBOT.description, HOME, TORQUE, AnyPerturbation.none(actuator_dead_time=time))
 
 
 def test_bad_drives() -> None:
@@ -213,7 +214,8 @@ OF_BALL_ROBOTS = ("actuator_dead_time", "drives", "torsional_friction") + (
 
 @pytest.mark.parametrize("name", OF_BALL_ROBOTS)
 def test_swerve_robots_reject_what_their_plant_does_not_read(name: str) -> None:
-    with pytest.raises(InputError, match=rf"plant\.{name}: is for ball robots only; .*'plant\."):
+    with pytest.raises(InputError, match=rf"plant\.{name}: .*'swerve-ur10'.* does not read it; valid: "):
         SwervePlant(
-            load_description("swerve-ur10"), perturbation=Perturbation(**{name: "elastic" if name == "drives" else 0.1})
+            load_description("swerve-ur10"),
+            perturbation=AnyPerturbation(**{name: "elastic" if name == "drives" else 0.1}),
         )

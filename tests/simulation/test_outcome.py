@@ -19,9 +19,9 @@ from wbmpc.experiment import Outcome, Part, Scenario, run_parts
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.result import Metric
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.contacts import Touch
 from wbmpc.simulation.lockstep import Ending, Timing, run_lockstep
-from wbmpc.simulation.perturbation import Perturbation
 
 SWERVE, BALL = load_robot("swerve-ur10"), load_robot("rezero")
 
@@ -50,13 +50,13 @@ def ended(plant: Any, still: Any) -> Ending:
 
 def test_a_robot_that_is_given_up_has_fallen_if_it_lies_in_the_end() -> None:
     """A push that goes on when the run ends pushes no longer."""
-    plant = BallPlant(BALL.description, perturbation=Perturbation.none())
+    plant = BallPlant(BALL.description, perturbation=AnyPerturbation.none())
     plant.push([60.0, 0.0, 0.0])
     ending = ended(plant, BallCommand(np.zeros(6)))
     assert ending.fell and "motors off" in ending.reason and plant.world.tilt > 0.35
     assert not plant.data.xfrc_applied.any() and plant.time > 1.0
     assert ending.contacts[0].touches  # with the floor
-    stands = ended(SwervePlant(SWERVE.description, perturbation=Perturbation.none()), SwerveCommand.stop(4, 6))
+    stands = ended(SwervePlant(SWERVE.description, perturbation=AnyPerturbation.none()), SwerveCommand.stop(4, 6))
     assert not stands.fell and stands.reason and not stands.contacts[0].touches
 
 

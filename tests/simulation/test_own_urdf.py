@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
 
 PLACES = {"lf": (0.4, 0.3), "rf": (0.4, -0.3), "lb": (-0.4, 0.3), "rb": (-0.4, -0.3)}
 
@@ -50,7 +50,7 @@ def robot(tmp_path: Path):  # type: ignore[no-untyped-def]
 
 
 def test_it_stands_and_drives(robot) -> None:  # type: ignore[no-untyped-def]
-    plant = SwervePlant(robot.description, None, Perturbation.none())
+    plant = SwervePlant(robot.description, None, SwervePerturbation.none())
     start = plant.truth()
     assert start.tilt < 1e-3
     # the planner's height of the end effector is the simulated one, but for what the tires give way

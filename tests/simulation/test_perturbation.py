@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from wbmpc.errors import InputError
 from wbmpc.robots import load_description, load_spec
-from wbmpc.simulation.perturbation import Perturbation, quantize
+from wbmpc.simulation.any_perturbation import AnyPerturbation, models
+from wbmpc.simulation.perturbation import Perturbation, perturbation_model, quantize
 
 BODIES = [b.name for b in load_spec(load_description("swerve-ur10")).bodies if b.name != "world"]
 
 
 def draws(count: int, **settings):
-    p = Perturbation(**settings)
+    p = AnyPerturbation(**settings)
     return [p.draw(np.random.default_rng(k), BODIES, 4, 6) for k in range(count)]
 
 
@@ -66,11 +68,29 @@ def test_bodies_change_as_drawn_and_balanced_ones_keep_their_center():
 
 
 def test_every_field_can_be_zero_and_none_is_the_model():
-    zero = Perturbation(**dict.fromkeys(Perturbation.model_fields.keys() - {"brake_fault", "drives"}, 0))
+    zero = AnyPerturbation(**dict.fromkeys(AnyPerturbation.model_fields.keys() - {"brake_fault", "drives"}, 0))
     draw = zero.draw(np.random.default_rng(0), BODIES, 4, 6)
     assert set(draw.mass.values()) == {1.0} and not np.any(list(draw.com.values())) and draw.friction == 0.0
     none = Perturbation.none(mass=0.01)
     assert (none.mass, none.com_offset, none.actuator_time_constant, none.friction) == (0.01, 0.0, 0.02, (0.8, 0.8))
+
+
+def test_what_bases_of_one_size_share_is_drawn_alike():
+    """Whatever spreads their models have: experiments and seeds stay comparable, and old runs can be run again."""
+    drawn = [kind().draw(np.random.default_rng(3), BODIES, 4, 6) for kind in (Perturbation, *models())]
+    for draw in drawn[1:]:
+        assert (draw.mass, draw.friction, draw.downhill) == (drawn[0].mass, drawn[0].friction, drawn[0].downhill)
+        np.testing.assert_array_equal(draw.arm_lag, drawn[0].arm_lag)
+
+
+def test_a_plant_takes_what_its_own_model_has():
+    description, kind = load_description("panda"), perturbation_model("fixed")
+    given = AnyPerturbation(mass=0.2, brake_delay=0.0, payload=1.0)
+    assert kind.of(given, description) == kind(mass=0.2, payload=1.0) and kind.of(None, description) == kind()
+    with pytest.raises(
+        InputError, match=r"plant\.slope: .*'panda' \(base type 'fixed'\) does not read it; valid: .*payload"
+    ):
+        kind.of(AnyPerturbation(slope=0.1), description)
 
 
 def test_friction_may_be_one_number():

@@ -10,7 +10,7 @@ import pytest
 from wbmpc.experiment import Outcome, Scenario, run_scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
-from wbmpc.settings import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.lockstep import PREPARATION, Ending, Watch, preparation
 from wbmpc.tasks import reference_drive
 
@@ -38,7 +38,7 @@ def test_live_watchers_alone_see_the_drive_and_it_is_the_same(monkeypatch: pytes
     shown, recorded, driven = Watcher(True), Watcher(False), []
 
     def build(settings: Any, seed: int) -> Scenario:
-        driven.append(reference_drive.drive(robot, Perturbation(), seed))
+        driven.append(reference_drive.drive(robot, AnyPerturbation(), seed))
         return Scenario.single(Log(), lambda _: Outcome(Ending()), lambda _: {}, lambda _: (), ())
 
     settings = SimpleNamespace(model_dump=lambda mode: {})
@@ -46,5 +46,5 @@ def test_live_watchers_alone_see_the_drive_and_it_is_the_same(monkeypatch: pytes
     assert shown.seen == [PREPARATION, ""] and shown.ticks > 1000 and recorded.seen == []
     assert any(note.startswith(PREPARATION) for note in notes)
     assert preparation() is None  # nothing is being built
-    alone, reason = reference_drive.drive(robot, Perturbation(), 3)
+    alone, reason = reference_drive.drive(robot, AnyPerturbation(), 3)
     assert reason == driven[0][1] == "" and (alone.array("wheel") == driven[0][0].array("wheel")).all()

@@ -17,14 +17,14 @@ from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import bind
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 
 ROBOT = load_robot("rezero")
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(ROBOT.home[ROBOT.state["arm"]])
-IDEAL = Perturbation.none(actuator_time_constant=0.0)
+IDEAL = AnyPerturbation.none(actuator_time_constant=0.0)
 
 
-def plant(perturbation: Perturbation = IDEAL, seed: int = 0, state=HOME, torque=TORQUE, **options) -> BallPlant:
+def plant(perturbation: AnyPerturbation = IDEAL, seed: int = 0, state=HOME, torque=TORQUE, **options) -> BallPlant:
     return BallPlant(ROBOT.description, state, torque, perturbation, seed, **options)
 
 
@@ -98,7 +98,7 @@ def test_truth_is_the_planners_kinematics():
     assert truth.tilt == pytest.approx(np.arccos(np.cos(x[3]) * np.cos(x[4])))
 
 
-def settled(perturbation: Perturbation = IDEAL) -> BallPlant:
+def settled(perturbation: AnyPerturbation = IDEAL) -> BallPlant:
     """After the ball has sunk into its contact, which takes some milliseconds."""
     p = plant(perturbation)
     p.step(BallCommand(TORQUE), 100)
@@ -131,21 +131,21 @@ def test_motion_is_that_of_the_minimal_model():
 
 
 def test_drives_lag_and_clip():
-    p = plant(Perturbation.none(), torque=np.zeros(6))
+    p = plant(AnyPerturbation.none(), torque=np.zeros(6))
     p.step(BallCommand(np.array([99.0, 0, 0, 99.0, 0, 0])), 40)
     assert p.data.act[[0, 3]] == pytest.approx(np.array([4.0, 20.0]) * (1 - np.exp(-1.0)), rel=1e-6)
-    assert plant(Perturbation.none()).data.act == pytest.approx(TORQUE)
+    assert plant(AnyPerturbation.none()).data.act == pytest.approx(TORQUE)
 
 
 def test_measured_states_are_late_and_noisy():
-    p = plant(Perturbation.none(state_age=0.005))
+    p = plant(AnyPerturbation.none(state_age=0.005))
     states = [p.state()]
     for _ in range(40):
         p.step(BallCommand(TORQUE), 1)
         states.append(p.state())
     assert p.measure().state == pytest.approx(states[-11], abs=1e-14)
     assert p.measure().age == pytest.approx(0.005)
-    noisy = plant(Perturbation.none(position_noise=1e-3, angle_noise=2e-3, speed_noise=0.01, rate_noise=0.02))
+    noisy = plant(AnyPerturbation.none(position_noise=1e-3, angle_noise=2e-3, speed_noise=0.01, rate_noise=0.02))
     errors = []
     for _ in range(300):
         noisy.step(BallCommand(TORQUE), 1)
@@ -155,14 +155,14 @@ def test_measured_states_are_late_and_noisy():
 
 
 def test_arm_encoders_are_off_as_drawn():
-    p = plant(Perturbation.none(joint_offset=0.002), seed=3)
+    p = plant(AnyPerturbation.none(joint_offset=0.002), seed=3)
     assert (p.measure().state - p.state())[5:8] == pytest.approx(p.draw.arm_offset)
     assert p.measure().state == pytest.approx(HOME)
 
 
 def test_runs_are_bitwise_repeatable():
     def run(seed: int) -> np.ndarray:
-        p, reported = plant(Perturbation(), seed), []
+        p, reported = plant(AnyPerturbation(), seed), []
         for _ in range(50):
             reported.append(p.measure().state)
             p.step(BallCommand(TORQUE), 5)
@@ -266,7 +266,7 @@ def test_a_fault_that_would_never_act_is_rejected(fault: dict[str, str], said: s
 
 
 def test_messages_are_late_and_a_stalled_encoder_stands() -> None:
-    p = plant(Perturbation.none(actuator_time_constant=0.0, state_age=0.005))
+    p = plant(AnyPerturbation.none(actuator_time_constant=0.0, state_age=0.005))
     p.sensors.faults = (SensorFault("stalled", 0, 0.1, 0.2),)
     seen = []
     for _ in range(120):

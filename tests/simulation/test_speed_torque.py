@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.speed_torque import NO_LOAD, SpeedTorque
 
 ROTOR = """<mujoco><worldbody><body><joint name="j" type="hinge"/><geom size="0.1" mass="1"/></body></worldbody>
@@ -36,7 +36,7 @@ def test_torque_falls_on_a_line_to_the_no_load_speed_and_brakes_in_full(
 
 def test_the_ball_robot_s_arm_does_not_run_away_under_full_torque() -> None:
     robot = load_robot("rezero")
-    plant = BallPlant(robot.description, perturbation=Perturbation.none())
+    plant = BallPlant(robot.description, perturbation=BallPerturbation.none())
     fastest = 0.0
     for _ in range(40):
         plant.step(BallCommand(np.array([0.0, 0.0, 0.0, 20.0, 0.0, 0.0])), 5)

@@ -15,16 +15,16 @@ from wbmpc.errors import InputError
 from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.studies.pankert2022.rolling import scale_wheels
 
 ROBOT = load_robot("swerve-ur10")
 STOP = SwerveCommand.stop()
 H = {"leg": np.zeros(4), "steer": np.zeros(4)}
-NONE = Perturbation.none()
+NONE = AnyPerturbation.none()
 
 
-def plant(perturbation: Perturbation = NONE, seed: int = 0, state=None, **options) -> SwervePlant:
+def plant(perturbation: AnyPerturbation = NONE, seed: int = 0, state=None, **options) -> SwervePlant:
     return SwervePlant(ROBOT.description, state, perturbation, seed, **options)
 
 
@@ -34,7 +34,7 @@ def at_rest(p: SwervePlant, seconds: float, brake: float = 0.0) -> None:
 
 
 def test_rest_stays_at_rest_and_the_ground_carries_the_weight():
-    p = plant(Perturbation(), seed=3)
+    p = plant(AnyPerturbation(), seed=3)
     start = p.truth()
     at_rest(p, 1.0)
     end = p.truth()
@@ -53,7 +53,7 @@ def test_without_a_search_for_islands_the_physics_are_the_same():
     def slow(spec: mujoco.MjSpec) -> None:
         spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
-    plants = [plant(Perturbation(), seed=2, edit=edit) for edit in (None, slow)]
+    plants = [plant(AnyPerturbation(), seed=2, edit=edit) for edit in (None, slow)]
     assert plants[0].model.opt.disableflags != plants[1].model.opt.disableflags
     for k in range(60):
         turn = np.sin(0.1 * k + np.arange(4.0))
@@ -92,7 +92,7 @@ def test_closed_brakes_hold_and_open_ones_let_the_base_go():
 
 def slip_torque(seed: int) -> float:
     """Torque [N m] at which the hinge of a wheel in the air starts to turn."""
-    p = plant(Perturbation(mass=0.0), seed, lift=0.5, settle=0.0)
+    p = plant(AnyPerturbation(mass=0.0), seed, lift=0.5, settle=0.0)
     p.model.opt.gravity[:] = 0.0
     dof = p.model.joint("leg_LF").dofadr[0]
     torque = 150.0
@@ -108,7 +108,7 @@ def test_a_brake_slips_at_200_newton_meters():
 
 
 def test_encoders_are_quantized_with_their_offsets():
-    p = plant(Perturbation(encoder_jitter=0.0), seed=5)
+    p = plant(AnyPerturbation(encoder_jitter=0.0), seed=5)
     m, joints, names = p.measure(), p.truth().joints, p._names
     for group, counts in (("leg", 2**14), ("steer", 2**14), ("wheel", 2**14), ("arm", 2**17)):
         step, values = 2 * np.pi / counts, getattr(m, group)
@@ -125,7 +125,7 @@ def test_encoders_are_quantized_with_their_offsets():
 
 
 def test_wheels_are_as_large_as_drawn():
-    p = plant(Perturbation(wheel_radius=0.01, wheel_radius_each=0.01), seed=5)
+    p = plant(AnyPerturbation(wheel_radius=0.01, wheel_radius_each=0.01), seed=5)
     assert np.unique(p.draw.radius).size == 4
     for factor, module in zip(p.draw.radius, p.base.modules, strict=True):
         size = p.model.geom(f"contact_{module.wheel}").size
@@ -145,7 +145,7 @@ def test_warnings_of_the_physics_go_to_the_log(tmp_path, monkeypatch, caplog):
 
 
 def test_a_message_has_one_age_of_up_to_two_milliseconds():
-    p = plant(Perturbation.none(encoder_jitter=0.002))
+    p = plant(AnyPerturbation.none(encoder_jitter=0.002))
     command = replace(STOP, wheel=np.array([1.0, 1.0, -1.0, -1.0]))
     history, ages = [], []
     for k in range(400):
@@ -175,7 +175,7 @@ def test_measuring_is_of_the_state_before_the_command_and_changes_nothing():
 
 def test_runs_are_bitwise_repeatable_and_differ_by_seed():
     def run(seed: int) -> tuple[np.ndarray, list]:
-        p, reported = plant(Perturbation(), seed), []
+        p, reported = plant(AnyPerturbation(), seed), []
         for k in range(60):
             m = p.measure()
             reported.append(np.concatenate([m.leg, m.steer, m.wheel, m.arm, m.gyro, m.accel]))
@@ -188,7 +188,7 @@ def test_runs_are_bitwise_repeatable_and_differ_by_seed():
 
 
 def test_steps_may_be_taken_singly():
-    a, b = plant(Perturbation(), 4), plant(Perturbation(), 4)
+    a, b = plant(AnyPerturbation(), 4), plant(AnyPerturbation(), 4)
     command = replace(STOP, arm=np.full(6, 0.3), wheel=np.full(4, 1.0))
     for _ in range(10):
         a.step(command, 5)
@@ -198,7 +198,7 @@ def test_steps_may_be_taken_singly():
 
 
 def test_plant_and_planner_share_no_numbers():
-    p, other = plant(Perturbation(), 1), plant(Perturbation(), 1)
+    p, other = plant(AnyPerturbation(), 1), plant(AnyPerturbation(), 1)
     robot = load_robot("swerve-ur10")
     previous = [(link.mass, link.com.copy(), link.inertia.copy()) for link in robot.tree.links]
     home = robot.pose(robot.home)[0]
@@ -245,7 +245,7 @@ def test_odometry_follows_a_meter_straight_on():
 
 
 def test_perturbed_wheels_make_odometry_drift():
-    runs = [drive(plant(q, 2), [0.5, 0.0, 0.0], 2.5) for q in (NONE, Perturbation())]
+    runs = [drive(plant(q, 2), [0.5, 0.0, 0.0], 2.5) for q in (NONE, AnyPerturbation())]
     ideal, real = (np.hypot(*(estimate - truth)[:2]) for estimate, truth, _ in runs)
     assert 5e-4 < real < 2e-2 and real > ideal
 
@@ -318,7 +318,7 @@ def test_brakes_switch_dry_friction():
 
 
 def test_the_inertial_unit_has_the_densities_and_biases_asked_for():
-    p = plant(Perturbation.none(gyro_noise=2e-4, gyro_bias=0.01, accel_noise=1e-3), seed=8)
+    p = plant(AnyPerturbation.none(gyro_noise=2e-4, gyro_bias=0.01, accel_noise=1e-3), seed=8)
     gyro, accel = [], []
     for _ in range(800):
         p.step(STOP, 5)
@@ -332,7 +332,7 @@ def test_the_inertial_unit_has_the_densities_and_biases_asked_for():
 
 
 def test_fixed_legs_have_no_leg_angles_and_ignore_brakes():
-    p = SwervePlant(load_robot("swerve-fixed-ur10").description, None, Perturbation(), 0)
+    p = SwervePlant(load_robot("swerve-fixed-ur10").description, None, AnyPerturbation(), 0)
     p.step(STOP, 5)
     p.step(replace(STOP, brake=np.zeros(0)), 5)
     assert p.measure().leg.size == 0 and p.measure().steer.size == 4

@@ -17,7 +17,7 @@ from wbmpc.model.augment import InputRate
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import residuals
 from wbmpc.robots import load_spec
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.stability import (
     Load,
     StanceOf,
@@ -129,7 +129,7 @@ def test_loads_of_the_library_add_up_to_the_robots() -> None:
 def stood(configuration: str, arm: np.ndarray | None = None, tilt: np.ndarray | None = None) -> SwervePlant:
     a = assess(SWERVE, configuration, arm=arm)
     # more friction than any floor has: on one it would slide before it tips, and tipping is what is tested
-    plant = SwervePlant(SWERVE.description, SWERVE.state.split(a.x), Perturbation.none(friction=6.0), 0)
+    plant = SwervePlant(SWERVE.description, SWERVE.state.split(a.x), AnyPerturbation.none(friction=6.0), 0)
     if tilt is not None:
         plant.model.opt.gravity[:] = tilt
     return plant

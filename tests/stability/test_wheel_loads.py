@@ -26,8 +26,8 @@ from wbmpc.ocp import OptimalControlProblem, residuals, with_accelerations
 from wbmpc.ocp.accelerations import RateRows
 from wbmpc.ocp.symbols import Symbols
 from wbmpc.robots import load_spec
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.payloads import add_payload
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import Load, Support, friction_needed, leg_angles
 
 HALF, MAST, WIDE = 0.3, 0.8, 0.25
@@ -145,7 +145,7 @@ def test_loads_at_rest_are_mujocos_contact_forces() -> None:
     x = model.home.copy()
     x[model.state["leg"]] = leg_angles(model, "H")
     x[model.state["steer"]] = 0.0
-    plant = SwervePlant(model.description, model.state.split(x), Perturbation.none(payload=10.0), 0)
+    plant = SwervePlant(model.description, model.state.split(x), AnyPerturbation.none(payload=10.0), 0)
     for _ in range(200):
         plant.step(SwerveCommand.stop(), 5)
     truth = plant.truth()
@@ -161,7 +161,7 @@ def test_loads_of_a_robot_that_speeds_up_are_mujocos_contact_forces() -> None:
     x[model.state["leg"]] = leg_angles(model, "H")
     x[model.state["steer"]], _ = rolling_inverse_kinematics(geometry, zero, zero, np.array([0.0, 1.0, 0.0]))
     heading = geometry.wheel_heading + x[model.state["leg"]] + x[model.state["steer"]]
-    plant = SwervePlant(model.description, model.state.split(x), Perturbation.none(payload=10.0), 0)
+    plant = SwervePlant(model.description, model.state.split(x), AnyPerturbation.none(payload=10.0), 0)
     still, forces, state = SwerveCommand.stop(), [], plant.truth().state
     arm = state[model.state["arm"]]
     for k in range(240):

@@ -14,6 +14,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
@@ -21,7 +22,6 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import Reference
 from wbmpc.robots.description import DATA
 from wbmpc.simulation.lockstep import Timing, run_lockstep
-from wbmpc.simulation.perturbation import Perturbation
 
 WRIST = """<body name="wrist_{k}_link" pos="0 0 {z}"><inertial pos="0 0 0.02" mass="0.25" diaginertia="3e-3 3e-3 2e-3"/>
 <joint name="wrist_{k}" axis="{axis}" range="-2 2"/>{inside}</body>"""
@@ -61,7 +61,7 @@ def test_it_balances_under_a_push(tmp_path: Path, wheels: int, zenith: float, wr
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES)
     set_home_references(mpc, robot, torque, home)
     mpc.reference["end_effector"] = Reference.poses([0.0], *robot.pose(home))
-    plant = BallPlant(robot.description, home, torque, Perturbation(), seed=1)
+    plant = BallPlant(robot.description, home, torque, BallPerturbation(), seed=1)
     timing = Timing.of(plant.timestep, 400.0, settings.rate, settings.computation_delay)
     controller = BallController(
         robot,

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.kernel import cache
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.simulation.kept_calibration import kept
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings
 
 
@@ -30,7 +30,7 @@ def test_a_drive_is_made_once_for_all_it_depends_on(
         made.append({"radius": r.uniform(0.1, 0.2, 4), "covariance": r.normal(size=(8, 8))})
         return made[-1]
 
-    settings = SwerveCalibrateSettings(plant=Perturbation(encoder_counts=512))
+    settings = SwerveCalibrateSettings(plant=SwervePerturbation(encoder_counts=512))
     first, again = (kept(robot, settings, 3, make) for _ in range(2))
     assert len(made) == 1 and again.keys() == made[0].keys()
     for name, values in made[0].items():

@@ -14,13 +14,13 @@ from effort import thorough
 from toys import robot
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.contacts import HULL
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022 import drive_missions
 from wbmpc.studies.pankert2022.drive import _baseline
 from wbmpc.studies.pankert2022.drive_course import DOOR, clearance, terrain
@@ -141,7 +141,7 @@ def test_clearance_at_the_door() -> None:
 
 
 # ---------------------------------------------------------------------- runs
-QUIET = SwerveDriveSettings(settle_time=1.0, calibration="none", plant=Perturbation.none(encoder_counts=2**14))
+QUIET = SwerveDriveSettings(settle_time=1.0, calibration="none", plant=SwervePerturbation.none(encoder_counts=2**14))
 
 
 def run_straight(name: str, is_open: bool, knock: float | None = None):  # type: ignore[no-untyped-def]

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from archives import without_units
 from effort import thorough
 from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import residuals
 from wbmpc.registry import REGISTRY
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.tip import TIP_RADIUS
 from wbmpc.studies.minniti2019 import press as pressing
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door
@@ -73,7 +73,7 @@ def test_sliding_is_that_of_material_points(grip: float) -> None:
     door = Door(
         (HAND[0] + 0.043, HAND[1] + 0.7), closed=-np.pi / 2 - 0.3, friction=0.0, closer=0.0, damping=0.0, grip=grip
     )
-    p = Watched(ROBOT.description, door, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0))
+    p = Watched(ROBOT.description, door, HOME, TORQUE, BallPerturbation.none(actuator_time_constant=0.0))
     p.data.qpos[p._q], p.data.qvel[p._dof] = 0.3, -0.4
     p.data.qvel[[1, 5]] = 0.1, 0.3
     for _ in range(120):

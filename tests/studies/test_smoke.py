@@ -14,7 +14,7 @@ from toys import robot
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 
@@ -70,7 +70,7 @@ def test_swerve_follows_its_path(track, tmp_path: Path) -> None:  # type: ignore
 def test_the_figures_of_the_track_are_those_of_its_record(track) -> None:  # type: ignore[no-untyped-def]
     """Truth: MuJoCo's kinematics of the recorded joints on the recorded and on the estimated base; sums written out."""
     log, m = track.log, {name: metric.value for name, metric in track.metrics.items()}
-    mujoco = SwervePlant(load_description("swerve-ur10"), None, Perturbation.none(), settle=0.0)
+    mujoco = SwervePlant(load_description("swerve-ur10"), None, AnyPerturbation.none(), settle=0.0)
 
     def end_effector(state: np.ndarray, base: np.ndarray) -> np.ndarray:
         mujoco.arrange(np.concatenate([base, state[3:]]))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from effort import thorough
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.model.robot import load_robot
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.pankert2022 import wobble as swerve_wobble
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import Case, Support, predict, tippings
@@ -21,7 +21,7 @@ from wbmpc.studies.pankert2022.wobble_figures import time_error, unloaded
 @pytest.fixture(scope="module")
 def result():  # type: ignore[no-untyped-def]
     """A plant like the model but for its centers of mass and its gyro, after one turn that shows them."""
-    plant = Perturbation.none(com_offset=0.01, gyro_noise=2e-4, gyro_bias=0.01)
+    plant = SwervePerturbation.none(com_offset=0.01, gyro_noise=2e-4, gyro_bias=0.01)
     settings = SwerveWobbleSettings(
         heights=(0.02,), turn=20.0, plant=plant, calibration=(("H", "LF"),), calibration_turn=20.0
     )

@@ -11,12 +11,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from wbmpc.bases.ball.messages import BallCommand
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.registry import load
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_control import DoorController
 from wbmpc.studies.minniti2019.door_model import DoorGeometry, WithDoor, end_effector_motion, place_of
@@ -41,7 +41,7 @@ def test_the_force_at_physics_steps_is_what_turns_the_door(tip: str) -> None:
     door = Door(
         (HAND[0] + 0.043, HAND[1] + 0.7), closed=-np.pi / 2 - 0.3, friction=0.0, closer=0.0, damping=0.0, grip=0.0, contact=TIPS[tip]
     )  # fmt: skip
-    p = TouchPlant(ROBOT.description, door, HOME, TORQUE, Perturbation.none(actuator_time_constant=0.0))
+    p = TouchPlant(ROBOT.description, door, HOME, TORQUE, BallPerturbation.none(actuator_time_constant=0.0))
     p.data.qpos[p._q], p.data.qvel[p._dof] = 0.3, -0.1
     for _ in range(160):
         p.step(BallCommand(TORQUE))

@@ -24,7 +24,9 @@ panels = pytest.importorskip("wbmpc.view.panel")
 def panel() -> Any:
     server = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
     yield panels.Panel(
-        server, Mailbox(REQUESTS), Controls("test", ("end_effector",), legs=True, base=True, obstacle=True)
+        server,
+        Mailbox(REQUESTS),
+        Controls("test", ("end_effector",), legs=True, base=True, obstacle=True, configurations=("H", "X")),
     )
     server.stop()
 
@@ -63,11 +65,11 @@ def test_the_box_shows_how_the_brakes_are(panel: Any, monkeypatch: pytest.Monkey
 
 def test_open_are_brakes_of_which_all_are() -> None:
     steering = Steering.__new__(Steering)
-    steering.has_legs = True
+    steering._brakes_of_legs = ("brake", "leg")
     for brakes, reported in (([1, 1, 1, 1], 1.0), ([0, 0, 0, 0], 0.0), ([1, 0, 1, 1], 0.0)):
         steering.running = SimpleNamespace(controller=SimpleNamespace(brakes=lambda t, b=brakes: np.array(b)))  # type: ignore[assignment]
         assert steering.brakes_open(0.0) == reported
-    steering.has_legs = False
+    steering._brakes_of_legs = None
     assert np.isnan(steering.brakes_open(0.0))
 
 

@@ -81,21 +81,24 @@ def test_a_trail_is_the_way_that_was_taken_and_stays_short() -> None:
     assert len(trail.add(np.zeros(3))) == 2
 
 
-@pytest.mark.parametrize("name", ["H", "X", "A"])
+NAMES = ["H", "X", "A"]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_the_configuration_of_legs_is_named(name: str) -> None:
     """Truth: the angles that a configuration asks for."""
     robot = load_robot("swerve-ur10")
     joints = [*robot.state.groups["wheel"], *robot.state.groups["leg"]]
     legs = LegConfiguration(robot, joints)
     positions = np.concatenate([np.full(4, 7.0), leg_angles(robot, name)])
-    assert configuration_text(legs.number(positions)) == f"legs: {name}"
+    assert configuration_text(legs.number(positions), NAMES) == f"legs: {name}"
     assert f"legs: {name}" in status_text(
-        {"error": np.nan, "margin": np.nan, "triangle_margin": np.nan, "configuration": legs.number(positions)}
+        {"error": np.nan, "margin": np.nan, "triangle_margin": np.nan, "configuration": legs.number(positions)}, NAMES
     )
     positions[5] += 0.2
-    assert configuration_text(legs.number(positions)) == "legs: between configurations"
+    assert configuration_text(legs.number(positions), NAMES) == "legs: between configurations"
     arm = load_robot("panda")
-    assert configuration_text(LegConfiguration(arm, list(arm.state.groups["arm"])).number(arm.home)) == ""
+    assert configuration_text(LegConfiguration(arm, list(arm.state.groups["arm"])).number(arm.home), NAMES) == ""
 
 
 def test_a_replays_plots_keep_peaks_and_mark_the_moment() -> None:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     import casadi as ca
     import mujoco
 
+    from wbmpc.bases.calibrator import Calibrator
     from wbmpc.control.protocols import Controller, RobotController
-    from wbmpc.estimation.wheel_calibration import WheelCalibration
     from wbmpc.model.joints import Limits
     from wbmpc.model.kinematics import Chain, FramePose
     from wbmpc.model.robot import RobotModel
@@ -261,22 +261,6 @@ class System:
         return self.plant, self.controller, self.mpc, self.timing
 
 
-class WheelFit(Protocol):
-    """What a log shows of steered wheels: ``calibration``, of what was believed ``previous`` (with a larger covariance than the prior's
-    where the log contradicts that); global poses ``used`` and ``given``."""
-
-    @property
-    def calibration(self) -> WheelCalibration: ...
-    @property
-    def previous(self) -> WheelCalibration: ...
-    @property
-    def used(self) -> int: ...
-    @property
-    def given(self) -> int: ...
-    def hidden(self) -> dict[str, tuple[Array, Array]]:
-        """Combinations of "steer zeros" and of "radii" that the log does not show: weights (k, n), standard deviations (k)."""
-
-
 class Reshaping(Protocol):
     """Adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the robot at home
     in its narrowest shape; ``free``: the mode in which its shape may change."""
@@ -286,23 +270,6 @@ class Reshaping(Protocol):
 
     def update(self, t: float) -> None:
         """Set references and modes of its MPC for updates from ``t`` [s] on, after the reference "state" is set."""
-
-
-class Calibrator(Protocol):
-    """Finds steer zeros and wheel radii of one robot from the log of a run with global poses. ``robot``: its name; ``names``: of the
-    wheels in calibration files; ``geometry``: of the wheels as described."""
-
-    robot: str
-    names: list[str]
-    geometry: ModuleGeometry
-
-    def fit(self, channels: Mapping[str, Array], prior: WheelCalibration, source: str) -> WheelFit:
-        """What the ``channels`` of a log show, beginning from a ``prior``; ``source`` is its name in errors. Raises
-        :class:`InputError` for a log that does not have what is needed."""
-
-    def fit_arm(self, channels: Mapping[str, Array], source: str) -> dict[str, dict[str, float]] | None:
-        """By joint ``offset`` and ``offset_std`` [rad] of the arm's encoders, from the channel 'tracked' of a log: rows of the arm's
-        angles (m), the position (3) [m] of its end effector in axes of the base, and its standard deviation. None without it."""
 
 
 class BaseType(Protocol):
@@ -324,6 +291,11 @@ class BaseType(Protocol):
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> Base:
         """The symbolic base of a described robot."""
         reject_missing_part(description, "model")
+
+    def perturbation(self) -> type[Perturbation] | None:
+        """The model of its plant's perturbation, a subclass of :class:`wbmpc.simulation.perturbation.Perturbation` with settings of its own;
+        None: what the plants of all robots read."""
+        return None
 
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
@@ -360,6 +332,11 @@ class BaseType(Protocol):
         through ``controller``; None for a base that has one shape."""
         return None
 
+    def configurations(self, robot: RobotModel) -> Mapping[str, Array]:
+        """Named configurations: positions (n) of the joints that brakes hold, in the order of the robot's state, within their limits or
+        not; empty for a base that has none."""
+        return {}
+
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
         """The settings of this base type's controller on a ROS 2 bus."""
         reject_missing_part(description, "ros_settings")
@@ -381,7 +358,9 @@ class BaseType(Protocol):
 #: Names of the parts of a plug-in in error messages; a part that it does not define is inherited from :class:`BaseType`.
 PARTS = {
     "check": "check of its mechanics", "propose": "proposal for a new robot", "reshaping": "change of shape", "diagnose": "diagnosis",
-    "model": "model", "plant": "simulated robot", "mpc": "problem with default weights", "system": "simulated robot with a controller",
+    "configurations": "named configurations of its legs",
+    "model": "model", "plant": "simulated robot", "perturbation": "model of its perturbation",
+    "mpc": "problem with default weights", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
     "calibrator": "calibration of steered wheels", "calibrate": "calibration of its wheels",
 }  # fmt: skip

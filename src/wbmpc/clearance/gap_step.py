@@ -13,7 +13,7 @@ from wbmpc.clearance.support_step import Solids, core_radius, support
 from wbmpc.kernel.ir import Floats
 
 #: Iterations at most; share of the squared distance that ends them; cores nearer [m] than this touch.
-MOST, ENOUGH, TOUCH = 40, 1e-7, 1e-6
+MAX_ITERATIONS, ENOUGH, TOUCH = 40, 1e-7, 1e-6
 
 
 @compiled
@@ -66,7 +66,7 @@ def gap(
     first_direction(place, pa, others, pb, work)
     radius = core_radius(solids, a) + core_radius(solids, b)
     reach, square, count = limit + radius, np.inf, 0
-    for _ in range(MOST):
+    for _ in range(MAX_ITERATIONS):
         vv = work[Work.V] ** 2 + work[Work.V + 1] ** 2 + work[Work.V + 2] ** 2
         ahead = add_point(
             solids, a, b, place=place, pa=pa, axes=axes, ra=ra, others=others, pb=pb, turns=turns, rb=rb, work=work, count=count

@@ -35,7 +35,7 @@ CLOSE, CLOSE_TURN = 0.03, 0.06
 #: How far [m] around start and goal a route may lead; states measured at once; searches at most.
 AROUND, AT_ONCE, SEARCHES = 3.0, 2000, 200
 #: Places and headings at most.
-MOST = 4_000_000
+MAX_STATES = 4_000_000
 
 
 class Footprint:
@@ -85,7 +85,7 @@ class _Lattice:
         inside = (corners - start[:2]) @ self._turn / cell
         self.low, self.high = np.floor(inside.min(axis=0)).astype(int), np.ceil(inside.max(axis=0)).astype(int)
         nx, ny = self.high - self.low + 1
-        if nx * ny * len(MOVES) > MOST:
+        if nx * ny * len(MOVES) > MAX_STATES:
             raise InputError(f"route: {nx} by {ny} cells are too many; valid: a larger 'cell', narrower 'bounds'")
         ij = np.stack(np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"), axis=-1).reshape(-1, 2) + self.low
         places = self.place(ij)

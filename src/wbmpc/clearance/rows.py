@@ -125,13 +125,15 @@ class ObstacleRows:
         at = poses.position[:, :, None] + near.point @ np.swapaxes(poses.rotation, 2, 3)
         gap = np.where(np.isfinite(near.distance), np.sum(near.normal * at, axis=3) - near.level, np.inf)
         margin = self.base_margin(snapshot, poses)
-        least = float((gap - margin).min())
-        if least < EXACT:
-            limit = np.where(self._asked[:, None], np.minimum(margin + least + 0.5 * EXACT, self.finder.reach), -np.inf)
-            gap = np.fmin(
-                self.finder.find(snapshot, poses, limit).distance, np.where(gap - margin > least, np.inf, gap)
+        minimum = float((gap - margin).min())
+        if minimum < EXACT:
+            limit = np.where(
+                self._asked[:, None], np.minimum(margin + minimum + 0.5 * EXACT, self.finder.reach), -np.inf
             )
-        return self._least(snapshot, times, gap, margin)
+            gap = np.fmin(
+                self.finder.find(snapshot, poses, limit).distance, np.where(gap - margin > minimum, np.inf, gap)
+            )
+        return self._minimum(snapshot, times, gap, margin)
 
     def deepest(self, snapshot: Snapshot, times: Array, states: Array, limit: float, deeper: float) -> Clearance | None:
         """Where states (n, nx) come nearer to an obstacle than ``limit`` [m], and by ``deeper`` [m] nearer than at the first one; None:
@@ -142,10 +144,12 @@ class ObstacleRows:
         found = self.finder.find(snapshot, poses, asked).distance
         found = np.where(found < found[:1] - deeper, found, np.inf)
         return (
-            self._least(snapshot, times, found, self.base_margin(snapshot, poses)) if np.isfinite(found).any() else None
+            self._minimum(snapshot, times, found, self.base_margin(snapshot, poses))
+            if np.isfinite(found).any()
+            else None
         )
 
-    def _least(self, snapshot: Snapshot, times: Array, distance: Array, margin: Array) -> Clearance:
+    def _minimum(self, snapshot: Snapshot, times: Array, distance: Array, margin: Array) -> Clearance:
         k, f, o = np.unravel_index(int(np.argmin(distance - margin)), distance.shape)
         return Clearance(
             float(distance[k, f, o]), float(margin[k, f, o]), self.geometry.frames[f], snapshot.obstacles[o].name, int(k),
@@ -184,16 +188,16 @@ class SelfRows:
 
     def clearance(self, times: Array, states: Array) -> Clearance:
         """The least distance of a plan, states (n, nx) at ``times`` (n) [s]."""
-        return self._least(times, self.measure(states))
+        return self._minimum(times, self.measure(states))
 
     def deepest(self, times: Array, states: Array, count: int, limit: float, deeper: float) -> Clearance | None:
         """Where the first ``count`` of states (n, nx) bring a pair nearer than ``limit`` [m], and by ``deeper`` [m] nearer than the first one;
         None: nowhere."""
         found = self.measure(states)[:count]
         found = np.where((found < limit) & (found < found[:1] - deeper), found, np.inf)
-        return self._least(times, found) if np.isfinite(found).any() else None
+        return self._minimum(times, found) if np.isfinite(found).any() else None
 
-    def _least(self, times: Array, distance: Array) -> Clearance:
+    def _minimum(self, times: Array, distance: Array) -> Clearance:
         if not np.isfinite(distance).any():
             return Clearance()
         k, row = np.unravel_index(int(np.argmin(distance)), distance.shape)

@@ -98,20 +98,20 @@ def outside(work: Floats, i: int, j: int, k: int, other: int) -> bool:
 
 
 @compiled
-def face(work: Floats, i: int, j: int, k: int, other: int, least: float) -> float:
-    """Weights of the nearest point of a face where it is outside and nearer than ``least`` [m²], and its distance [m²]; else ``least``."""
+def face(work: Floats, i: int, j: int, k: int, other: int, minimum: float) -> float:
+    """Weights of the nearest point of a face where it is outside and nearer than ``minimum`` [m²], and its distance [m²]; else ``minimum``."""
     if not outside(work, i, j, k, other):
-        return least
+        return minimum
     wi, wj, wk = triangle(work, i, j, k)
     x = wi * work[3 * i] + wj * work[3 * j] + wk * work[3 * k]
     y = wi * work[3 * i + 1] + wj * work[3 * j + 1] + wk * work[3 * k + 1]
     z = wi * work[3 * i + 2] + wj * work[3 * j + 2] + wk * work[3 * k + 2]
     found = x * x + y * y + z * z
-    if found < least:
+    if found < minimum:
         work[Work.WEIGHT + i], work[Work.WEIGHT + j], work[Work.WEIGHT + k] = wi, wj, wk
         work[Work.WEIGHT + other] = 0.0
         return found
-    return least
+    return minimum
 
 
 @compiled
@@ -125,11 +125,11 @@ def set_weights(work: Floats, count: int) -> bool:
     elif count == 3:
         work[w], work[w + 1], work[w + 2] = triangle(work, 0, 1, 2)
     else:
-        least = face(work, 0, 1, 2, 3, np.inf)
-        least = face(work, 0, 1, 3, 2, least)
-        least = face(work, 0, 2, 3, 1, least)
-        least = face(work, 1, 2, 3, 0, least)
-        return least < np.inf
+        minimum = face(work, 0, 1, 2, 3, np.inf)
+        minimum = face(work, 0, 1, 3, 2, minimum)
+        minimum = face(work, 0, 2, 3, 1, minimum)
+        minimum = face(work, 1, 2, 3, 0, minimum)
+        return minimum < np.inf
     return True
 
 

@@ -47,11 +47,11 @@ def core_radius(solids: Solids, s: int) -> float:
 @compiled
 def farthest_vertex(s: int, first: Integers, vertices: Floats, x: float, y: float, z: float) -> int:
     """Where the farthest vertex of a mesh along a direction in its axes begins in ``vertices``."""
-    found, most = 3 * first[s], -np.inf
+    found, maximum = 3 * first[s], -np.inf
     for i in range(first[s], first[s + 1]):
         along = vertices[3 * i] * x + vertices[3 * i + 1] * y + vertices[3 * i + 2] * z
-        if along > most:
-            most = along
+        if along > maximum:
+            maximum = along
             found = 3 * i
     return found
 

@@ -19,7 +19,7 @@ from wbmpc.obstacles.world import Obstacle, Snapshot
 
 Array = NDArray[np.float64]
 #: Motion between two states that are checked [m], and how many between two nodes at most.
-STEP, MOST = 0.08, 8
+STEP, MAX_CHECKS = 0.08, 8
 #: Frames that move less than this [m] in an interval are not checked between nodes: it is more than the margin lacks by.
 SLOW = 0.02
 #: What is slower than this [m/s] has no track.
@@ -45,20 +45,20 @@ def between(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, sta
     ends = np.minimum(near.distance, finder.reach)
     possible = 0.5 * (ends[:-1] + ends[1:] - moved)
     flagged = (possible < floor) & (moved > SLOW) & (possible < np.minimum(ends[:-1], ends[1:]) - 0.5 * SLOW)
-    least = np.full(moved.shape, np.inf)
+    minimum = np.full(moved.shape, np.inf)
     intervals = np.flatnonzero(flagged.any(axis=(1, 2)))
     if not intervals.size:
-        return least
-    most = np.where(flagged, moved, 0.0).max(axis=(1, 2))[intervals]
-    counts = np.clip(np.ceil(most / STEP).astype(int) - 1, 1, MOST)
+        return minimum
+    maximum = np.where(flagged, moved, 0.0).max(axis=(1, 2))[intervals]
+    counts = np.clip(np.ceil(maximum / STEP).astype(int) - 1, 1, MAX_CHECKS)
     which = np.repeat(intervals, counts)
     share = np.concatenate([np.arange(1, c + 1) / (c + 1.0) for c in counts])
     inner = (1.0 - share[:, None]) * states[which] + share[:, None] * states[which + 1]
     times = (1.0 - share) * poses.times[which] + share * poses.times[which + 1]
     limit = np.where(flagged, np.minimum(ends[:-1], ends[1:]), -np.inf)[which]
     found = finder.find(snapshot, Poses(times, *finder.kinematics(inner)), limit)
-    np.minimum.at(least, which, found.distance)
-    return least
+    np.minimum.at(minimum, which, found.distance)
+    return minimum
 
 
 def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, inner: Array, margin: Array) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from wbmpc.bases.base import Calibrator, WheelFit
+    from wbmpc.bases.calibrator import Calibrator, WheelFit
     from wbmpc.estimation.wheel_calibration import WheelCalibration
     from wbmpc.model.wheels import ModuleGeometry
 

@@ -17,7 +17,10 @@ from wbmpc.output_file import write_text
 def stability(
     robot: Annotated[str, typer.Argument(help="A robot's name (see 'wbmpc list') or its YAML file.")],
     configuration: Annotated[
-        str | None, typer.Option(help="H, X, A, or one leg angle (rad) per leg: 0.1,-0.1,0,0 (default: home).")
+        str | None,
+        typer.Option(
+            help="H, X or A where the robot has them, or one leg angle (rad) per leg: 0.1,-0.1,0,0 (default: home)."
+        ),
     ] = None,
     wrench: Annotated[
         str,

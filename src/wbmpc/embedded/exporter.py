@@ -45,7 +45,7 @@ ALLOWED = frozenset(
 
 
 #: Samples of a reference at most: the block of memory has room for all of them.
-MOST_SAMPLES = 100_000
+MAX_SAMPLES = 100_000
 
 
 def export(
@@ -63,7 +63,7 @@ def export(
     """
     check_prefix(prefix, public_names(prefix).values())
     check_exportable(mpc)
-    whole_number("export: samples", samples, 1, MOST_SAMPLES)
+    whole_number("export: samples", samples, 1, MAX_SAMPLES)
     chosen, folder = find_target(target), Path(directory)
     image = make_image(mpc, samples)
     code = _object(mpc, image, chosen, prefix)

@@ -11,7 +11,6 @@ docs/explanation.
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
-from wbmpc.estimation import odometry_filter as fused_filter
+from wbmpc.estimation.late_poses import LatePoses
 from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State
-from wbmpc.estimation.odometry_memory import Moment, OdometryMemory, state_of
+from wbmpc.estimation.odometry_memory import OdometryMemory
 from wbmpc.estimation.odometry_step import BIAS, LATE, WHEELS, Interval, Way
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.estimation.wheel_odometry import Increment, Mask, Sample, WheelOdometry
@@ -30,14 +29,6 @@ from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
-
-#: A global pose whose normalized error squared is above this is rejected: 99.99 % of chi-square with 3 degrees of freedom.
-GATE = 21.1
-#: So many rejections in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
-PATIENCE = 10
-#: A pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
-AHEAD = 0.1
-
 
 #: An interval longer than this [s] is a gap: a mean of the gyro over it is none, and the wheels show only where it ended.
 GAP = 0.1
@@ -55,10 +46,9 @@ class FusedOdometry:
 
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
-    ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``taken``, ``rejected``: how
-    many global poses did and did not fit; ``misfit``: mean of the normalized squared errors of those that did (3 is expected);
-    ``contradiction``: by how much of their way the wheels contradicted each other. ``backend``: machine code, or its source as
-    ordinary Python. Raises :class:`InputError` for a calibration of
+    ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``global_poses``: those that were
+    taken in and rejected; ``contradiction``: by how much of their way the wheels contradicted each other. ``backend``: machine code, or
+    its source as ordinary Python. Raises :class:`InputError` for a calibration of
     another number of modules, and for numbers that are not finite, of another length or negative.
     """
 
@@ -88,13 +78,10 @@ class FusedOdometry:
         self._memory = OdometryMemory(geometry, known.wheel_radius, self.noise, backend)
         self._memory.set_state(State(-np.inf, start, p))
         finite("odometry", history=history)
-        self._keep, self._past = float(_not_negative("history", history)), deque[Moment]()
-        self._spare: Array | None = None  # a record that is not needed any more
+        self._keep, self.global_poses = float(_not_negative("history", history)), LatePoses(self._memory)
         self._started, self._closed = False, np.zeros(n, dtype=bool)
         self._open: Mask = self._closed
         self.twist: Array = np.zeros(3)
-        self.taken = self.rejected = self._rejections = 0
-        self._misfits = 0.0
 
     # ------------------------------------------------------------------ results
     @property
@@ -119,7 +106,7 @@ class FusedOdometry:
     @property
     def twist_covariance(self) -> Array:
         """(3, 3) of the error of ``twist``, as the wheels of the last interval say; 0 before the first."""
-        if not self._past:
+        if not self.global_poses.past:
             return np.zeros((3, 3))
         a = self._memory.arrays
         return a["covariance"].reshape(3, 3) / a["interval"][Interval.H] ** 2
@@ -133,11 +120,6 @@ class FusedOdometry:
     def slip(self) -> float:
         """Root mean square [m/s] over the wheels, one component: 0 when they agree."""
         return float(np.sqrt(self._memory.arrays["slip"][Slip.NOW]))
-
-    @property
-    def misfit(self) -> float:
-        """Mean of the normalized squared errors of the global poses taken in: 3 is expected."""
-        return self._misfits / max(self.taken, 1)
 
     @property
     def contradiction(self) -> float:
@@ -163,12 +145,12 @@ class FusedOdometry:
         if covariance is not None:
             p[:3, :3] = checked_covariance("place", covariance)
         self._memory.set_state(State(self._state.t, mean, p))
-        self._past.clear()
+        self.global_poses.clear()
 
     def restart_clock(self) -> None:
         """Times restart: the next message only starts; what is known stays."""
         self._memory.record[0] = -np.inf
-        self._past.clear()
+        self.global_poses.clear()
         self._started = False
 
     def restart_encoders(self) -> None:
@@ -190,7 +172,7 @@ class FusedOdometry:
         finite("odometry", t=t)
         if self._started:
             self._memory.record[0] = t - UNKNOWN_GAP
-            self._past.clear()
+            self.global_poses.clear()
 
     @property
     def time(self) -> float:
@@ -200,7 +182,7 @@ class FusedOdometry:
     def move_clock(self, by: float) -> None:
         """The clock's zero moves: what was at time t [s] was at t + ``by``. Raises :class:`InputError` for no finite number."""
         finite("odometry", by=by)
-        for record in (self._memory.record, *(moment.record for moment in self._past)):
+        for record in (self._memory.record, *(moment.record for moment in self.global_poses.past)):
             record[0] += by
 
     # ------------------------------------------------------------------ wheels and gyro
@@ -246,8 +228,7 @@ class FusedOdometry:
             self._start(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
             self._advance(h, gyro, self._closed if is_open is self._closed else self._open & is_open, weighed)
-            while self._past and self._past[0].record[0] < t - self._keep:
-                self._spare = self._past.popleft().record
+            self.global_poses.forget(t - self._keep)
         arrays["before"][:] = arrays["now"]
         self._started, self._open = True, is_open
         return self.pose
@@ -267,26 +248,11 @@ class FusedOdometry:
             memory.measure(h, 0.0 if gyro is None else gyro * h, gyro is not None)
             if weights is None and is_open is not self._closed and is_open.any():
                 memory.legs = self._shown(is_open, h)
-        self._remember()
-        self._propagate()
+        self.global_poses.remember()
+        memory.propagate()
         self.twist = arrays["twist"] / h
         if gap:
-            self._past.clear()
-
-    def _remember(self) -> None:
-        record, self._spare = self._spare, None
-        if record is None:
-            record = np.empty_like(self._memory.record)
-        record[:] = self._memory.record
-        self._past.append(Moment(record, self._memory.legs))
-
-    def _propagate(self) -> None:
-        """Over the interval that the memory holds."""
-        memory, arrays = self._memory, self._memory.arrays
-        memory.advance()
-        memory.record[0] += arrays["interval"][Interval.H]
-        if memory.legs is not None:
-            memory.set_state(fused_filter.with_open_legs(memory.state, memory.legs, arrays["correction"]))
+            self.global_poses.clear()
 
     def _bridge(self, h: float, minimum: float) -> None:
         """Over a gap: one motion from its begin to its end, as uncertain as what the wheels did meanwhile, and by ``minimum`` [m]."""
@@ -333,62 +299,9 @@ class FusedOdometry:
         variance = max(self.noise.along, self.noise.across) ** 2 * way + slip * h + self.noise.reading**2
         return LegEvidence(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
 
-    # ------------------------------------------------------------------ global poses
     def correct(self, t: float, pose: ArrayLike, covariance: ArrayLike) -> bool:
-        """Take in a global pose (x, y, yaw) that was true at time ``t`` [s], with its covariance (3, 3).
-
-        The filter goes back to that time, corrects, and comes forward again. False when the pose is older than the
-        history, of a future that no message has come from (see ``AHEAD``), or does not fit (see ``GATE`` and ``PATIENCE``).
-        Raises :class:`InputError` for what is not finite, for a covariance that is none, and where pose and filter are both
-        certain: which one is right cannot be decided. Nothing is lost then.
-        """
-        z, r = numbers("global pose", "pose", pose, 3), checked_covariance("global pose", covariance)
-        if not np.isfinite(t):
-            raise InputError(f"global pose: its time must be finite, got {t}")
-        oldest = self._past[0].record[0] if self._past else self.time
-        if t < oldest or -np.inf < self.time < t - AHEAD:
-            return False
-        memory, back = self._memory, 0
-        state, rates = memory.state, np.zeros(3)
-        while state.t > t:
-            back += 1
-            state = state_of(self._past[-back].record, state.mean.size)
-        if back:
-            step = self._past[-back].record[memory.state_end :]
-            rates = step[Interval.SIZE : Interval.SIZE + 3] / step[Interval.H]
-        corrected = self._corrected(state, rates, t, z, r)
-        self.rejected += corrected is None
-        self.taken += corrected is not None
-        if corrected is not None:
-            self._replay(corrected, back)
-        return corrected is not None
-
-    def _replay(self, state: State, back: int) -> None:
-        """Go on from another ``state`` over the last ``back`` intervals."""
-        memory = self._memory
-        memory.set_state(state)
-        end = memory.state_end
-        for moment in [self._past[-k] for k in range(back, 0, -1)]:
-            moment.record[:end] = memory.record[:end]
-            memory.record[end:] = moment.record[end:]
-            memory.legs = moment.legs
-            self._propagate()
-
-    def _corrected(self, state: State, rates: Array, t: float, z: Array, r: Array) -> State | None:
-        """The state with a pose taken in that belongs to a moment of the step after it, in which the base moves at ``rates``
-        (3); None where it does not fit."""
-        error = fused_filter.apart(state, rates, t, z)
-        misfit = fused_filter.misfit(state, error, r)
-        if misfit > GATE:
-            self._rejections += 1
-            if self._rejections <= PATIENCE:
-                return None
-            # the filter is lost: carried away, or by wheels that are worse than believed. Its pose is the source's
-            self._rejections = 0
-            return fused_filter.replaced(state, error, r)
-        self._rejections = 0
-        self._misfits += misfit
-        return fused_filter.corrected(state, error, r)
+        """Take in a global pose, see :meth:`wbmpc.estimation.late_poses.LatePoses.correct`."""
+        return self.global_poses.correct(t, pose, covariance)
 
 
 def _not_negative(name: str, value: Array | float) -> Array | float:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State
+from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State, with_open_legs
 from wbmpc.estimation.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
 from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.estimation.wheel_slip import WINDOWS, slip_memory
@@ -63,6 +63,13 @@ class OdometryMemory:
     def state(self) -> State:
         """The state now: views, which move on with the memory."""
         return state_of(self.record, self.arrays["mean"].size)
+
+    def propagate(self) -> None:
+        """Move the state over the interval, and take in what open legs showed in it."""
+        self.advance()
+        self.record[0] += self.arrays["interval"][Interval.H]
+        if self.legs is not None:
+            self.set_state(with_open_legs(self.state, self.legs, self.arrays["correction"]))
 
     def set_state(self, state: State) -> None:
         """Go on from another state."""

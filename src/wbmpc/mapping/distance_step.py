@@ -82,9 +82,9 @@ def all_plain(at: int, step: int, n: int, out: Floats) -> bool:
 
 @compiled
 def transform_lines(
-    width: int, at: int, step: int, n: int, most: float, out: Floats, f: Floats, apex: Integers, start: Floats
+    width: int, at: int, step: int, n: int, maximum: float, out: Floats, f: Floats, apex: Integers, start: Floats
 ) -> None:
-    """Some lines beside each other in place: their cells begin at ``at`` and are ``step`` apart. What is more than ``most`` becomes
+    """Some lines beside each other in place: their cells begin at ``at`` and are ``step`` apart. What is more than ``maximum`` becomes
     :data:`NONE`. They are read and written together: cells of one line are far from each other in memory."""
     if width == LANES and all_plain(at, step, n, out):
         return
@@ -103,23 +103,23 @@ def transform_lines(
                 continue
             v = apex[k]
             d = f[first + v] + float((q - v) * (q - v))
-            out[at + q * step + c] = d if d <= most else NONE
+            out[at + q * step + c] = d if d <= maximum else NONE
 
 
 @compiled
 def transform(
-    nx: int, ny: int, nz: int, evidence: Integers, occupied: int, outside: bool, most: float, out: Floats, f: Floats,
+    nx: int, ny: int, nz: int, evidence: Integers, occupied: int, outside: bool, maximum: float, out: Floats, f: Floats,
     apex: Integers, start: Floats,
 ) -> None:  # fmt: skip
-    """Squared distances ``out`` (nx, ny, nz) to occupied cells, or to free ones (not ``outside``), up to ``most``; ``f``, ``apex``, ``start``:
+    """Squared distances ``out`` (nx, ny, nz) to occupied cells, or to free ones (not ``outside``), up to ``maximum``; ``f``, ``apex``, ``start``:
     room for :data:`LANES` lines."""
     first_axis(nx * ny, nz, evidence, occupied, outside, out)
     for i in range(nx):
         for k in range(0, nz, LANES):
-            transform_lines(min(LANES, nz - k), i * ny * nz + k, nz, ny, most, out, f, apex, start)
+            transform_lines(min(LANES, nz - k), i * ny * nz + k, nz, ny, maximum, out, f, apex, start)
     for j in range(ny):
         for k in range(0, nz, LANES):
-            transform_lines(min(LANES, nz - k), j * nz + k, ny * nz, nx, most, out, f, apex, start)
+            transform_lines(min(LANES, nz - k), j * nz + k, ny * nz, nx, maximum, out, f, apex, start)
 
 
 @compiled
@@ -128,9 +128,9 @@ def signed(
     apex: Integers, start: Floats, out: Floats,
 ) -> None:  # fmt: skip
     """Distances ``out`` (nx, ny, nz) [m], at most ``farthest``, to the nearest occupied cell; in those minus that to the nearest free one."""
-    most = farthest * farthest / (cell * cell)
-    transform(nx, ny, nz, evidence, occupied, True, most, out, f, apex, start)
-    transform(nx, ny, nz, evidence, occupied, False, most, inner, f, apex, start)
+    maximum = farthest * farthest / (cell * cell)
+    transform(nx, ny, nz, evidence, occupied, True, maximum, out, f, apex, start)
+    transform(nx, ny, nz, evidence, occupied, False, maximum, inner, f, apex, start)
     for i in range(nx * ny * nz):
         d = np.sqrt(out[i]) - np.sqrt(inner[i])
         out[i] = min(max(cell * d, -farthest), farthest)

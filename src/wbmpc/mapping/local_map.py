@@ -87,10 +87,10 @@ class LocalMap:
     def _follow(self, position: Array) -> None:
         """Move the window to where the sensor is; what leaves it is forgotten."""
         middle = np.round(position[:2] / self.cell).astype(np.int64)
-        wanted = middle - np.array(self.shape[:2]) // 2
+        target = middle - np.array(self.shape[:2]) // 2
         if self._low is None:
-            self._low = wanted
-        shift = wanted - self._low
+            self._low = target
+        shift = target - self._low
         if np.abs(shift).max() * self.cell <= MOVES:
             return
         for array in (self._evidence, self._mark, self._seen):
@@ -100,7 +100,7 @@ class LocalMap:
             if (np.abs(shift) < self.shape[:2]).all():
                 moved[put[0], put[1]] = array[keep[0], keep[1]]
             array[:] = moved
-        self._low = wanted
+        self._low = target
 
     # ------------------------------------------------------------------ scans
     def add(

@@ -1,7 +1,7 @@
 """Points of one scan into the evidence of an occupancy map, compiled.
 
 Evidence of a cell is a whole number: a scan with a point in it adds :data:`HIT`, one whose rays only pass through it takes :data:`MISS` off,
-each once; it stays between 0 and :data:`MOST`. So what moves away is gone after some scans.
+each once; it stays between 0 and :data:`MAX_EVIDENCE`. So what moves away is gone after some scans.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.mapping.compilation import compiled
 
-HIT, MISS, MOST = 3, 1, 6
+HIT, MISS, MAX_EVIDENCE = 3, 1, 6
 #: Evidence from which on a cell is occupied.
 OCCUPIED = 3
 #: What a point of a scan is: no return (its ray clears alone), solid, part of the robot (its ray clears but for the last bit).
@@ -41,7 +41,7 @@ def add_hits(
             count += 1
             if mark[at] != 2 * scan + 1:
                 mark[at] = 2 * scan + 1
-                evidence[at] = min(evidence[at] + HIT, MOST)
+                evidence[at] = min(evidence[at] + HIT, MAX_EVIDENCE)
                 seen[at] = time
     return count
 

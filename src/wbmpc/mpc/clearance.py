@@ -22,7 +22,7 @@ from wbmpc.solver import Solver, Trajectory
 Array = NDArray[np.float64]
 #: Share of a margin that a plan may lack before it is replaced: one iteration misses rows by some of it.
 TOLERATED = 0.5
-#: Less than this [m] deeper than now is no deeper.
+#: A plan that penetrates by less than this [m] more than the current one is no worse.
 DEEPER = 0.003
 #: Solves from a braking plan, and the barriers of the interior point: with a small one from the start its steps are cut where many
 #: rows become active at once.

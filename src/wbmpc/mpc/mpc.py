@@ -18,6 +18,7 @@ from wbmpc.mpc.described import Described
 from wbmpc.mpc.guess import Bound, Guess, check_found, check_guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.path import PathProgress
+from wbmpc.mpc.plan_check import PlanCheck
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.references import References
 from wbmpc.mpc.statistics import Statistics
@@ -92,14 +93,13 @@ class MPC(Described):
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
         self._iterations = 0  # of all calls of the solver for the last plan
-        self._broken = 0  # passes in a row that ended with numbers that are not finite
-        self._faults = 0  # passes in a row without a plan, whatever the reason
         #: why the last pass gave no plan; empty when it did
         self.fault = ""
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
         self._reported = False
         self._lines = RateLimit()
+        self._plan_check = PlanCheck(self.solver, self._lines)
 
     @property
     def guess(self) -> Guess | None:
@@ -252,7 +252,8 @@ class MPC(Described):
             self._solve(observation.t, x0, delta, passes)
         self._t = observation.t
         self._count_events(observation.t)
-        return self._judge(observation)
+        self.fault = self._plan_check.fault(observation.t, self._outcome[0])
+        return not self.fault
 
     def _solve(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
         """``passes`` calls of the solver, the first one from the last plan, ``delta`` [s] old, or what the guess makes of it."""
@@ -271,35 +272,21 @@ class MPC(Described):
             self.path.begun()
         self._outcome = (status, count, elapsed)
 
-    def _judge(self, observation: Observation) -> bool:
-        """Whether what the last pass left is a plan; ``fault`` says why not."""
-        status = self._outcome[0]
-        broken = self._not_finite_part()
-        self._broken = self._broken + 1 if broken else 0
-        previous, self.fault = self.fault, broken or self._rejection()
-        self._faults = self._faults + 1 if self.fault else 0
-        if self.fault and not previous:  # the first of a row of them
-            cause = "not finite" if broken else self.solver.status(status).value
-            self._lines.log(_LOG, logging.WARNING, cause, f"MPC at {observation.t:.3f} s: {self.fault}")
-        return not self.fault
-
     def _solve_clear(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
         """Solve with clearance rows; a plan that stops is the result where no other is clear."""
         run = lambda old, n: self._solve(t, x0, old, n)
-        cause = self._clear.solve(t, x0, None if self._t is None else delta, passes, run, self._unusable)
+        unusable = lambda: bool(self._plan_check.reason(self._outcome[0]))
+        cause = self._clear.solve(t, x0, None if self._t is None else delta, passes, run, unusable)
         if cause is not None:
             self._outcome = (_USABLE, *self._outcome[1:])
             self.statistics.braking_plans += 1
             self._lines.log(_LOG, logging.WARNING, "clearance", f"MPC at {t:.3f} s: the robot brakes: {cause}")
         elif self._clear.search_is_due(t):
             plan, outcome = self.solver.trajectory(), self._outcome
-            if not self._clear.search(t, x0, plan, run, self._unusable):
+            if not self._clear.search(t, x0, plan, run, unusable):
                 self.solver.use(plan.x, plan.u)
                 self._outcome = outcome
             self._clear.measure(t)
-
-    def _unusable(self) -> bool:
-        return bool(self._not_finite_part() or self._rejection())
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""
@@ -353,29 +340,15 @@ class MPC(Described):
         A plan from which two passes in a row ended with numbers that are not finite is discarded: the next one starts from
         the observation.
         """
-        from wbmpc.solver.controller import RESTART, RESUME, recovery
+        from wbmpc.solver.controller import RESTART, RESUME
 
-        after = recovery.python(self._outcome[0], self._broken, self._faults)
+        after = self._plan_check.recovery(self._outcome[0])
         if after == RESTART:
             self.solver.warm_start(self.path.wide(observation.x))
             self.solver.reset()
             self._t = None
         elif after == RESUME:
             self.resume(x, u, t)
-
-    def _not_finite_part(self) -> str:
-        """What of the last pass is not finite or beyond all bounds; empty if nothing is."""
-        status = self.solver.status(self._outcome[0])
-        if status in (Status.NOT_FINITE, Status.DIVERGED):
-            return status.value
-        bad = self.solver.non_finite_part()
-        return f"failed: the {bad} is not finite" if bad else ""
-
-    def _rejection(self) -> str:
-        """Which limit or equality the last plan misses so that it is not used; empty if none."""
-        status = self.solver.status(self._outcome[0])
-        rejected = status in (Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE)
-        return f"{status.value} ({self.solver.violation_message(status)})" if rejected else ""
 
     def _check(self, observation: Observation) -> None:
         if not abs(observation.t) <= LATEST:

@@ -87,8 +87,8 @@ def weigh_base(solver: Solver, robot: RobotModel) -> bool:
     if "path.state" not in slices or width is None or width.stop - width.start != robot.state.size:
         return False
     weights, effector = solver.constants[slices["path.state"]].copy(), solver.constants[slices["path.end_effector"]]
-    most = SHARE * float(effector[:3].max())
-    weights[part] = np.maximum(weights[part], [most, most, most * LENGTH**2])
+    maximum = SHARE * float(effector[:3].max())
+    weights[part] = np.maximum(weights[part], [maximum, maximum, maximum * LENGTH**2])
     solver.set_weight("state", weights.tolist())
     return True
 

@@ -24,7 +24,7 @@ SAMPLES, NEAR = 600, 0.10
 ALWAYS = 0.95
 #: Of the pairs for a robot file: states that are drawn, the share of them in which a pair may be nearer than its margin, and how many
 #: pairs there are at most: each costs time in every solve.
-FILE_SAMPLES, OFTEN, MOST = 2000, 0.5, 20
+FILE_SAMPLES, OFTEN, MAX_PAIRS = 2000, 0.5, 20
 #: Slides are those of one telescope if the cosine of their axes is more.
 PARALLEL = 0.999
 
@@ -60,10 +60,10 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
     geometry = robot_geometry(robot)
     adjacent = [p for p in combinations(_bodies(geometry), 2) if _adjacent(robot, *p)]
     others = [p for p in combinations(_bodies(geometry), 2) if p not in adjacent]
-    least = distances(geometry, others, draw_states(robot, samples))
-    always = (least < robot.description.collision.self.margin).mean(axis=0) >= ALWAYS
-    always |= least[0] < 0.0
-    never = ~always & (least >= NEAR).all(axis=0)
+    minimum = distances(geometry, others, draw_states(robot, samples))
+    always = (minimum < robot.description.collision.self.margin).mean(axis=0) >= ALWAYS
+    always |= minimum[0] < 0.0
+    never = ~always & (minimum >= NEAR).all(axis=0)
     listed = lambda mask: tuple(p for p, m in zip(others, mask, strict=True) if m)
     return Proposal(samples, listed(~always & ~never), tuple(adjacent), listed(always), listed(never))
 
@@ -71,7 +71,7 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
 @dataclass(frozen=True)
 class Listing:
     """Pairs for a robot file by what sampling found nearer than the margin: ``pairs`` that can come so near, the most frequent first;
-    ``rare``: the least frequent ones, beyond :data:`MOST`; ``close``: near at home or often, so that nothing can keep them apart."""
+    ``rare``: the least frequent ones, beyond :data:`MAX_PAIRS`; ``close``: near at home or often, so that nothing can keep them apart."""
 
     pairs: tuple[Pair, ...]
     rare: tuple[Pair, ...]
@@ -87,7 +87,7 @@ def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
     close = near[0] | (share >= OFTEN)
     order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
     named = [pairs[i] for i in order]
-    return Listing(tuple(named[:MOST]), tuple(named[MOST:]), tuple(pairs[i] for i in np.flatnonzero(close)))
+    return Listing(tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), tuple(pairs[i] for i in np.flatnonzero(close)))
 
 
 def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:

@@ -22,7 +22,7 @@ ENDLESS = 1e6
 #: Pieces of a path's own splines at least, points of a circle, points in which the nearest one is looked for.
 PIECES, CIRCLE, SEARCHED = 400, 240, 2001
 #: Points of a path may not be nearer [m] to each other than this.
-LEAST = 1e-9
+MIN_LENGTH = 1e-9
 #: Gauss-Legendre nodes of an arc length.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
@@ -52,7 +52,7 @@ class Path:
         if periodic:
             points, turns = np.vstack([points, points[:1]]), np.vstack([turns, turns[:1]])
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if steps.min() < LEAST:
+        if steps.min() < MIN_LENGTH:
             k = int(np.argmin(steps))
             raise InputError(f"path, points: {k} and {(k + 1) % (len(points) - periodic)} are at one place")
         self._fit(points, turns, np.concatenate([[0.0], np.cumsum(steps)]))
@@ -102,7 +102,7 @@ class Path:
         constant ``quaternion`` (4) (default: the identity)."""
         middle, axis = real_numbers("path, center", center), real_numbers("path, normal", normal)
         arm, size = real_numbers("path, start", start) - middle, float(np.linalg.norm(axis))
-        if size < LEAST or abs(axis @ arm) > 1e-6 * size * np.linalg.norm(arm) or np.linalg.norm(arm) < LEAST:
+        if size < MIN_LENGTH or abs(axis @ arm) > 1e-6 * size * np.linalg.norm(arm) or np.linalg.norm(arm) < MIN_LENGTH:
             raise InputError("path: a circle needs a start beside its center, at a right angle to its normal")
         angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE, endpoint=False)[:, None]
         points = middle + np.cos(angle) * arm + np.sin(angle) * np.cross(axis / size, arm)
@@ -118,7 +118,7 @@ class Path:
             [1.0, 0.0, 0.0, 0.0] if quaternions is None else np.asarray(quaternions, float), (len(points), 4)
         )
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if not (np.isfinite(blend) and blend > 0.0) or len(steps) < 1 or steps.min() < LEAST:
+        if not (np.isfinite(blend) and blend > 0.0) or len(steps) < 1 or steps.min() < MIN_LENGTH:
             raise InputError("path: a polyline needs points apart from each other and a blend that is positive")
         kept, turned = [points[0]], [turns[0]]
         for k in range(1, len(points) - 1):

@@ -91,9 +91,9 @@ def limits_of_leaders(description: RobotDescription, spec: mujoco.MjSpec) -> Lim
             )
         if np.isfinite([low, high]).all():
             position[c.joint] = (low, high)
-        for most in (velocity, acceleration):
-            if follower in most:
-                most[c.joint] = min(most.get(c.joint, np.inf), most[follower] / abs(c.ratio))
+        for largest in (velocity, acceleration):
+            if follower in largest:
+                largest[c.joint] = min(largest.get(c.joint, np.inf), largest[follower] / abs(c.ratio))
     return limits.model_copy(update={"position": position, "velocity": velocity, "acceleration": acceleration})
 
 

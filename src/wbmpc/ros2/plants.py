@@ -54,7 +54,7 @@ class RosPlant(ABC):
 
     ``held``: it falls without commands; ``lift`` [m] of the model's origin above the floor; ``imu_at`` (3) [m] in the base;
     ``led``: trajectories that controllers follow, by their names; ``last``: what was read last. Groups: see
-    :data:`wbmpc.ros2.settings.GROUPS`.
+    :func:`wbmpc.ros2.settings.drive_groups`.
     """
 
     imu_at = np.zeros(3)

@@ -19,8 +19,6 @@ from wbmpc.ros2.obstacle_settings import ObstacleSettings
 from wbmpc.settings import MpcSettings, Settings
 from wbmpc.yaml_file import load_yaml
 
-#: Groups of drives; each that a robot has gets a controller unless the file says otherwise.
-GROUPS = ("wheel", "steer", "arm", "brake")
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
 NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 TYPES = {"numbers": NUMBERS, "trajectory": TRAJECTORY, "twist": "geometry_msgs/msg/TwistStamped"}
@@ -199,7 +197,7 @@ class RosSettings(Settings):
     """What every base type's settings have; subclasses (:meth:`wbmpc.bases.base.BaseType.ros_settings`) add a type's own, with its ``cost``.
 
     ``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours. ``controllers``: left out, one for each
-    of :data:`GROUPS` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go out in the order of the legs. ``use_sim_time``: time is
+    of :func:`drive_groups` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go out in the order of the legs. ``use_sim_time``: time is
     what ``/clock`` says. ``lockstep``: so it does, and a solve takes the modeled ``mpc.computation_delay`` of that time, however fast the
     machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]: by the wall clock, how old joint states are when they come,
     and ``wrench`` (robots that balance).
@@ -278,13 +276,12 @@ class RosSettings(Settings):
     def command_topics(self, robot: RobotModel) -> dict[str, Controller]:
         """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
         drives = drive_groups(robot)
-        brakes = {n: f"brake/{n}" for n in drives["brake"]}
-        drives["brake"] = list(brakes.values())
+        brakes = [n for g in robot.base.brakes for n in drives.get(g, ())]
         twist = drives["wheel"] if robot.description.base.takes_twist else []
         if not self.controllers:
             found = {
                 f"{g}_controller": Controller(topic=f"/{g}_controller/commands", joints=tuple(drives[g]))
-                for g in GROUPS
+                for g in drives
                 if drives[g] and not (twist and g == "wheel")
             }
             base = Controller(topic="/base_controller/cmd_vel", joints=tuple(twist), takes="twist")
@@ -306,7 +303,7 @@ class RosSettings(Settings):
                 if joint in seen:
                     raise InputError(f"{where}: joint '{joint}' is commanded by '{seen[joint]}' too")
                 seen[joint] = name
-        left = [n for n in known if n not in seen and n not in brakes.values()]
+        left = [n for n in known if n not in seen and n not in brakes]
         if left:
             raise InputError(f"key 'controllers': no controller commands joint '{left[0]}'")
         return self.controllers
@@ -326,11 +323,13 @@ def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:
 
 
 def drive_groups(robot: RobotModel) -> dict[str, list[str]]:
-    """Our names of the drives by :data:`GROUPS`; brakes are called like their legs, and the speeds of a base that takes them base/NAME."""
-    drives = {g: list(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
-    if robot.description.base.takes_twist:
-        return drives | {"wheel": [f"base/{n}" for n in robot.input.groups["base"]]}
-    return drives | {"wheel": drives["wheel"] or robot.description.base.wheel_joints()}
+    """Our names of the drives by group: wheels, whatever else the model's input moves but the base as a whole and joints that brakes
+    hold, and the brakes, GROUP/JOINT; the speeds of a base that takes them are base/NAME, as wheels."""
+    base, inputs = robot.description.base, dict(robot.input.groups)
+    brakes = {g: [f"{g}/{n}" for n in inputs.pop(held, ())] for g, held in robot.base.brakes.items()}
+    speeds = [f"base/{n}" for n in inputs.pop("base", ())]
+    wheels = inputs.pop("wheel", ()) or (speeds if base.takes_twist else base.wheel_joints())
+    return {"wheel": list(wheels), **{g: list(names) for g, names in inputs.items()}, **brakes}
 
 
 def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:

@@ -34,9 +34,7 @@ class Sender:
 
 def places_of(robot: RobotModel) -> dict[str, Place]:
     """Group and number of every drive by its name."""
-    drives = drive_groups(robot)
-    names = drives | {"brake": [f"brake/{n}" for n in drives["brake"]]}
-    return {n: (g, i) for g, part in names.items() for i, n in enumerate(part)}
+    return {n: (g, i) for g, part in drive_groups(robot).items() for i, n in enumerate(part)}
 
 
 def senders(node: Node, robot: RobotModel, settings: RosSettings) -> list[Sender | TwistSender]:

@@ -17,11 +17,11 @@ from wbmpc.robots import RobotDescription
 from wbmpc.robots.couplings import followers, put_followers
 from wbmpc.simulation.arm_step import carry, keep
 from wbmpc.simulation.payloads import PAYLOAD, add_payload
-from wbmpc.simulation.perturbation import Perturbation, PlantSample
+from wbmpc.simulation.perturbation import ArmPerturbation, PlantSample
 from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive
 
 #: Gain [N m s/rad] of the servos per N m of effort limit, but not below its floor; floor of those that slide [N s/m].
-_ARM_GAIN, _ARM_GAIN_LEAST, _SLIDE_GAIN = 12.0, 800.0, 2e4
+_ARM_GAIN, _MIN_ARM_GAIN, _SLIDE_GAIN = 12.0, 800.0, 2e4
 
 
 def span(index: Array) -> slice | Array:
@@ -37,7 +37,7 @@ class ArmPlant(WorldAccess):
 
     description: RobotDescription
     timestep: float
-    perturbation: Perturbation
+    perturbation: ArmPerturbation
     draw: PlantSample
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -52,8 +52,8 @@ class ArmPlant(WorldAccess):
             spec.joint(name).armature, spec.joint(name).damping = 0.1, [1.0, 0, 0]
             effort = self.description.limits.effort.get(name, np.inf)
             slides = spec.joint(name).type == mujoco.mjtJoint.mjJNT_SLIDE
-            least = _SLIDE_GAIN if slides else _ARM_GAIN_LEAST
-            gain = max(least, _ARM_GAIN * effort) if np.isfinite(effort) else least
+            minimum = _SLIDE_GAIN if slides else _MIN_ARM_GAIN
+            gain = max(minimum, _ARM_GAIN * effort) if np.isfinite(effort) else minimum
             add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, lag, gain)
         p = self.perturbation
         if p.payload > 0.0:
@@ -84,7 +84,7 @@ class ArmPlant(WorldAccess):
         """Encoders with zero errors by group [rad]."""
         p = self.perturbation
         self.offsets = offsets
-        self._counts = {g: p.arm_counts if g == "arm" else p.encoder_counts for g in self._names}
+        self._counts = {g: self.counts(g) for g in self._names}
         self._offsets = np.concatenate([offsets[g] for g in self._names])
         ends = np.cumsum([len(part) for part in self._names.values()]).tolist()
         #: where each group is among all joints
@@ -95,10 +95,11 @@ class ArmPlant(WorldAccess):
         self._count = 2.0 * np.pi / np.where(self._exact, 1, counts)
         self._ages = round(p.encoder_jitter / self.timestep)
         self._last = None
-        limits = self.description.limits.effort
-        self._effort_noise = p.effort_noise * np.array([limits.get(n, 0.0) for n in self._names["arm"]])
-        self._effort_rng = self._noise.spawn(1)[0]  # of its own: noise of other sensors is what it is without
         self._bind_steps()
+
+    def counts(self, group: str) -> int:
+        """Counts per turn of the encoders of a group of joints, 0: exact. Those of the base are a subclass's."""
+        return self.perturbation.arm_counts
 
     def set_zeros(self, found: Array) -> None:
         """Take what a calibration found (m) [rad or m] of the arm's zeros out of what its encoders read from now on."""
@@ -137,16 +138,6 @@ class ArmPlant(WorldAccess):
         mujoco.mj_jacBody(m, d, jacobian, None, self._payload)
         weight: Array = d.qfrc_bias[dofs] + m.body_mass[self._payload] * m.opt.gravity @ jacobian[:, dofs]
         d.qfrc_applied[dofs] = weight
-
-    def efforts(self) -> Array:
-        """Torques (m) [N m or N] of the arm's drives in the last physics step as they report them, with what is fed forward to each joint
-        and to those that follow it."""
-        d, n = self.data, len(self._names["arm"])
-        applied = d.qfrc_applied[self._arm_dofs]
-        carried = applied[:n] if applied.size == n else applied[:n] + self._shares @ applied[n:]
-        noise = self._effort_noise * self._effort_rng.standard_normal(n)
-        read: Array = self.draw.effort_gain * (d.actuator_force[self._arm_drives] + carried) + noise
-        return read
 
     def encoders(self) -> Array:
         """Positions of all joints by group, with their zero errors, all of one age up to the jitter, before they are quantized."""

@@ -16,6 +16,7 @@ import numpy as np
 from wbmpc.simulation.arm import ArmPlant, span
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
+from wbmpc.simulation.perturbation import WheeledPerturbation
 from wbmpc.simulation.world import Array, Edit, add_floor, add_light, free_body, set_options
 
 #: Contact softness of the tires (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
@@ -55,6 +56,7 @@ class WheeledPlant(ArmPlant):
     """Subclasses also set ``base`` (its ``body``); "wheel" is among their groups of joints."""
 
     base: Any
+    perturbation: WheeledPerturbation
 
     # ------------------------------------------------------------------ building
     def stand_on_floor(self, spec: mujoco.MjSpec) -> list[float]:
@@ -92,13 +94,30 @@ class WheeledPlant(ArmPlant):
         self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in self._names["wheel"]], dtype=int)
 
     def start_sensors(self, offsets: dict[str, Array]) -> None:
-        """Also the inertial unit."""
+        """Also the inertial unit, and torques of the arm's drives."""
         super().start_sensors(offsets)
+        limits = self.description.limits.effort
+        self._effort_noise = self.perturbation.effort_noise * np.array([limits.get(n, 0.0) for n in self._names["arm"]])
+        self._effort_rng = self._noise.spawn(1)[0]  # of its own: noise of other sensors is what it is without
         p, draw = self.perturbation, self.draw
         self._bias = np.concatenate([draw.gyro_bias, draw.accel_bias])
         self._density = np.repeat([p.gyro_noise, p.accel_noise], 3), np.repeat([p.gyro_walk, p.accel_walk], 3)
 
+    def counts(self, group: str) -> int:
+        """Those of the arm, or of the base."""
+        return self.perturbation.arm_counts if group == "arm" else self.perturbation.encoder_counts
+
     # ------------------------------------------------------------------ running
+    def efforts(self) -> Array:
+        """Torques (m) [N m or N] of the arm's drives in the last physics step as they report them, with what is fed forward to each joint
+        and to those that follow it."""
+        d, n = self.data, len(self._names["arm"])
+        applied = d.qfrc_applied[self._arm_dofs]
+        carried = applied[:n] if applied.size == n else applied[:n] + self._shares @ applied[n:]
+        noise = self._effort_noise * self._effort_rng.standard_normal(n)
+        read: Array = self.draw.effort_gain * (d.actuator_force[self._arm_drives] + carried) + noise
+        return read
+
     def inertial(self) -> dict[str, Array]:
         """ "gyro" [rad/s] and "accel" [m/s²] (3 each) with walking biases and the noise of a sample that stands for the time since the
         last message."""

@@ -1,7 +1,7 @@
 """Stability of robots on three feet or more: support, zero-moment point, margins."""
 
 from wbmpc.stability.assessment import Assessment, assess
-from wbmpc.stability.configurations import CONFIGURATIONS, corners, leg_angles
+from wbmpc.stability.configurations import configurations, leg_angles
 from wbmpc.stability.drawing import draw
 from wbmpc.stability.friction import friction_needed
 from wbmpc.stability.geometry import (
@@ -22,7 +22,6 @@ from wbmpc.stability.stances import best_stance
 from wbmpc.stability.zmp import GRAVITY, Load, slope_gravity, zero_moment_point
 
 __all__ = [
-    "CONFIGURATIONS",
     "GRAVITY",
     "Assessment",
     "Load",
@@ -34,7 +33,7 @@ __all__ = [
     "area",
     "assess",
     "best_stance",
-    "corners",
+    "configurations",
     "counter_clockwise",
     "draw",
     "edge_distances",

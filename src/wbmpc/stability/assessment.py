@@ -132,7 +132,7 @@ def assess(
     gravity: ArrayLike = GRAVITY,
     arm: ArrayLike | None = None,
 ) -> Assessment:
-    """The robot at rest: at its home, but with the legs in a ``configuration`` (H, X, A or angles [rad]) and the arm at the
+    """The robot at rest: at its home, but with the legs in a ``configuration`` (a name or angles [rad]) and the arm at the
     angles ``arm`` [rad] if given; the world's ``wrench`` (6) on the end effector (force [N], moment [N m]), ``gravity`` (3) [m/s²],
     both in the frame of the ground (z along its normal, also on a slope). Raises :class:`InputError` for angles outside the
     limits."""

@@ -52,10 +52,10 @@ def build(settings: CmdVelSettings, seed: int) -> Scenario:
     def metrics(log: Log) -> dict[str, Metric]:
         use = log.times("base") >= settings.settle_time
         t = log.times("base")[use]
-        wanted = np.stack([np.interp(t, times, column) for column in poses.T], axis=1)
+        target = np.stack([np.interp(t, times, column) for column in poses.T], axis=1)
         found = {}
         for name in ("base", "base_estimated"):
-            error = np.hypot(*(log.array(name)[use] - wanted)[:, :2].T)
+            error = np.hypot(*(log.array(name)[use] - target)[:, :2].T)
             ending = "_world" if name == "base" else ""
             found[f"base_error_mean{ending}"] = Metric(float(error.mean()) if error.size else np.inf, "m")
         return found

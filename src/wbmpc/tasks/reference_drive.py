@@ -13,11 +13,11 @@ from wbmpc.errors import RunAborted
 from wbmpc.estimation.arm_calibration import ZERO_STD, calibrate_arm
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import LidarSettings
 from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import preparation, run_lockstep
 from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.settings import LidarSettings
 from wbmpc.simulation.tracked_arm import TRACKER, track_arm
 from wbmpc.tasks.led_base import RAMP, Order, base_path, lead_base, ordered_twist
 from wbmpc.tasks.settings import moving_base

@@ -24,8 +24,8 @@ from wbmpc.settings import (
     StabilitySettings,
     WheelLoadSettings,
 )
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.obstacles import load_scene
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.stability import standing
 
 
@@ -37,7 +37,7 @@ class SimulationSettings(Settings):
     (docs/how-to/obstacles.md)."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
-    plant: Annotated[Perturbation, OnlyWith(physics="mujoco")] = Perturbation()
+    plant: Annotated[AnyPerturbation, OnlyWith(physics="mujoco")] = AnyPerturbation()
     computation_delay: float = Field(0.010, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
     calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "none"

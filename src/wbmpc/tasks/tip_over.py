@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from pydantic import Field
 
@@ -15,7 +13,7 @@ from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.stability import leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
@@ -34,11 +32,11 @@ class TipOverSettings(TaskSettings):
     """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s]: before it stops; ``ramp`` [s]:
     until it has the speed; ``cruise`` [s]: from then to the order to stop, after which the end effector is to be where its reference is
     (by a low weight, or the arm would swing); ``after`` [s]: time for which the robot is watched after the stop; ``legs``:
-    configuration of hinged legs (H, X or A), or as at home. Wheels are of one size: a stiff body on four stiff wheels that differ by
+    configuration of legs that move (H, X or A), or as at home. Wheels are of one size: a stiff body on four stiff wheels that differ by
     0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
-    plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
+    plant: AnyPerturbation = AnyPerturbation(payload=10.0, wheel_radius_each=0.0)
     stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
     settle_time: float = Field(0.5, ge=0, le=60)
@@ -47,7 +45,7 @@ class TipOverSettings(TaskSettings):
     ramp: float = Field(1.5, ge=0.01, le=60)
     cruise: float = Field(0.3, ge=0, le=60)
     after: float = Field(3.0, ge=0.5, le=600)
-    legs: Literal["home", "H", "X", "A"] = "H"
+    legs: str = Field("H", max_length=200)
 
 
 def reaching(robot: RobotModel, direction: float, legs: str, rolling: float | None = None) -> RobotModel:

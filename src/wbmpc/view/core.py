@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.recording.observer import end_effector_goal
+from wbmpc.stability import configurations
 from wbmpc.view.snapshot import NUMBERS, errors
 from wbmpc.view.steering import Controls, Steering, no_requests
 from wbmpc.view.window import Window
@@ -41,12 +43,20 @@ class LiveView(Window):
         return message is not None
 
     def _controls(
-        self, mpc: MPC | None, groups: tuple[str, ...], *, paced: bool = True, pushes: bool = True
+        self,
+        mpc: MPC | None,
+        robot: RobotModel | None,
+        groups: tuple[str, ...],
+        *,
+        paced: bool = True,
+        pushes: bool = True,
     ) -> Controls:
-        """What there is to control of a run with this MPC."""
+        """What there is to control of a run of this robot (None: of none that is described) with this MPC."""
         names = tuple(cost.name for cost in Steering.costs_of(mpc))
         around = mpc is not None and mpc.obstacles is not None
-        return Controls(self.title, names, Steering.legs_of(mpc), Steering.base_of(mpc), groups, paced, pushes, around)
+        legs, base = Steering.brakes_of(mpc) is not None, Steering.base_of(mpc)
+        named = () if robot is None or not legs else tuple(configurations(robot))
+        return Controls(self.title, names, legs, base, groups, paced, pushes, around, named)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ import viser
 from viser import uplot
 
 from wbmpc.runtime.shared_memory import Mailbox
-from wbmpc.stability import CONFIGURATIONS
 from wbmpc.view import bounds
 from wbmpc.view.capture import add_capture
 from wbmpc.view.history import History
@@ -100,9 +99,9 @@ class Panel:
         gui = self.server.gui
         if self.controls.legs:
             with gui.add_folder("Legs"):
-                names = tuple(CONFIGURATIONS)
-                group = gui.add_button_group("Configuration", names)
-                group.on_click(lambda _: self._click("configurations", configuration=names.index(group.value)))
+                if names := self.controls.configurations:
+                    group = gui.add_button_group("Configuration", names)
+                    group.on_click(lambda _: self._click("configurations", configuration=names.index(group.value)))
                 self._brakes: Any = gui.add_checkbox("Brakes open", False)
                 self._brakes_clicked = -np.inf
                 self._brakes.on_update(self._click_brakes)
@@ -226,7 +225,7 @@ class Panel:
         self._show_brakes(float(s["brakes"]))
         value = dict(zip(NUMBERS, numbers, strict=True))
         digits = 4 if self._values["paused"] else 1  # a single step is a few milliseconds
-        self._about = f", {value['t']:.{digits}f} s{status_text(value)}"
+        self._about = f", {value['t']:.{digits}f} s{status_text(value, self.controls.configurations)}"
         self._head()
         if self._count % _EVERY_PLOT:
             return

@@ -22,7 +22,7 @@ from wbmpc.recording.observer import predicted, thinned
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import Running
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import perturbation_model
 from wbmpc.simulation.scene import SceneReader
 from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import GROUPS, Loads
@@ -65,7 +65,7 @@ class RealtimeView(LiveView):
         groups = tuple(
             g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
         )  # not measured
-        controls = self._controls(mpc, groups, paced=False, pushes=seen is not None)
+        controls = self._controls(mpc, self.robot, groups, paced=False, pushes=seen is not None)
         nx = mpc.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
@@ -161,7 +161,8 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
 # ---------------------------------------------------------------------- in the view's process
 def scene_of(robot: RobotModel) -> tuple[Any, SceneReader]:
     """The robot in MuJoCo as its file describes it, to be posed without physics, and the reader of its scene."""
-    plant = base_type(robot.description.base.type).plant(robot, Perturbation.none(), 0)
+    kind = robot.description.base.type
+    plant = base_type(kind).plant(robot, perturbation_model(kind).none(), 0)
     return plant, SceneReader(plant.model, robot.description.base.body)
 
 

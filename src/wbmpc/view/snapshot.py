@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -101,9 +101,9 @@ def errors(end_effector: Array, goal: Array, base: Array, base_goal: Array) -> d
     }
 
 
-def status_text(numbers: Mapping[str, float]) -> str:
-    """The end effector's error, how far the ZMP is inside of what it must stay in, how late the run is, how its legs stand: lines of
-    Markdown after a first one."""
+def status_text(numbers: Mapping[str, float], configurations: Sequence[str] = ()) -> str:
+    """The end effector's error, how far the ZMP is inside of what it must stay in, how late the run is, how its legs stand (by the
+    names of its ``configurations``): lines of Markdown after a first one."""
     lines = [f"end effector error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
     margins = [
         f"{1e3 * abs(numbers[name]):.0f} mm {'inside' if numbers[name] > 0.0 else 'outside'} the {what}"
@@ -115,7 +115,7 @@ def status_text(numbers: Mapping[str, float]) -> str:
     if np.isfinite(numbers.get("ticks", np.nan)):
         pace.append(f"{numbers['late_ticks']:.0f} of {numbers['ticks']:.0f} ticks late")
     lines += [", ".join(pace)] if pace else []
-    legs = configuration_text(numbers.get("configuration", np.nan))
+    legs = configuration_text(numbers.get("configuration", np.nan), configurations)
     lines += [legs] if legs else []
     return "".join(f"  \n{line}" for line in lines)
 

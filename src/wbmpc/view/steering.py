@@ -17,7 +17,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.shapes import Box
 from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
 from wbmpc.simulation.lockstep import Running
-from wbmpc.stability import CONFIGURATIONS, leg_angles
+from wbmpc.stability import configurations, leg_angles
 from wbmpc.view import bounds
 
 _LOG = logging.getLogger(__name__)
@@ -52,7 +52,8 @@ def no_requests() -> dict[str, Array]:
 class Controls:
     """What there is to control: a title, names of weights, whether legs, a base goal; ``groups`` of drives whose shares of
     their limits are plotted (:data:`~wbmpc.view.actuator_load.GROUPS`); ``paced``: whether time can be
-    held, ``pushes``: whether a user can push, ``obstacle``: whether plans keep clear of a box that a user places."""
+    held, ``pushes``: whether a user can push, ``obstacle``: whether plans keep clear of a box that a user places; names of the
+    ``configurations`` of its legs."""
 
     title: str
     weights: tuple[str, ...]
@@ -62,10 +63,11 @@ class Controls:
     paced: bool = True
     pushes: bool = True
     obstacle: bool = False
+    configurations: tuple[str, ...] = ()
 
 
 class _Steered(RobotController, Protocol):
-    """A controller of legs also takes ``brakes(t)`` (4, 1 = open)."""
+    """A controller of legs also takes ``brakes(t)`` (n, 1 = open)."""
 
     brakes: Callable[[float], Array]
 
@@ -85,7 +87,7 @@ class Steering:
         self._legs: Array | None = None
         #: Whether anything was done.
         self.used = False
-        self.costs, self.has_legs = self.costs_of(self.mpc), self.legs_of(self.mpc)
+        self.costs, self._brakes_of_legs = self.costs_of(self.mpc), self.brakes_of(self.mpc)
 
     @property
     def _controller(self) -> _Steered:
@@ -105,12 +107,21 @@ class Steering:
         return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MAX_WEIGHTS]
 
     @staticmethod
-    def legs_of(mpc: MPC | None) -> bool:
-        """Whether there are four passive legs with brakes that the problem knows as modes."""
+    def brakes_of(mpc: MPC | None) -> tuple[str, str] | None:
+        """Brakes of the base that the problem knows as a mode: the group of the mode, and the group of joints, the legs, that they hold.
+        None: there are none."""
         if mpc is None:
-            return False
-        d = mpc.dynamics
-        return "leg" in d.state and "brake" in d.mode and d.state["leg"].stop - d.state["leg"].start == 4
+            return None
+        inner = mpc.dynamics
+        while hasattr(inner, "dynamics"):  # of wrappers
+            inner = inner.dynamics
+        held = getattr(getattr(inner, "base", None), "brakes", {}).items()
+        return next(((b, j) for b, j in held if b in mpc.dynamics.mode and j in mpc.dynamics.state), None)
+
+    @property
+    def has_legs(self) -> bool:
+        """Whether there are joints that brakes hold."""
+        return self._brakes_of_legs is not None
 
     @staticmethod
     def base_of(mpc: MPC | None) -> bool:
@@ -145,7 +156,7 @@ class Steering:
             self._push_ends = None
             self.running.plant.push(np.zeros(3))
         if self._asked(requests, "configurations") and self.has_legs:
-            names = list(CONFIGURATIONS)
+            names = list(configurations(self._controller.robot))
             index = lambda: bounds.choice("configuration", requests["configuration"], len(names))
             self._try(lambda: self._configure(names[index()]))
         if self._asked(requests, "brake_clicks") and self.has_legs:
@@ -237,34 +248,40 @@ class Steering:
     # ------------------------------------------------------------------ legs
     @property
     def _leg_part(self) -> slice:
-        part: slice = self._planner.dynamics.state["leg"]
+        part: slice = self._planner.dynamics.state[self._leg_group]
         return part
+
+    @property
+    def _leg_group(self) -> str:
+        assert self._brakes_of_legs is not None, "only orders to legs ask for it"
+        return self._brakes_of_legs[1]
 
     def _configure(self, name: str) -> None:
         """Legs to a configuration by name; :class:`InputError` if the robot's hinges do not reach it."""
         self._move_legs(leg_angles(self._controller.robot, name))
 
     def _move_legs(self, angles: Array) -> None:
-        """Legs to ``angles`` (4) [rad] from now on; a base that is on its way goes on along its path."""
+        """Legs to ``angles`` (n) [rad] from now on; a base that is on its way goes on along its path."""
         reference = self._planner.reference["state"]
         values = reference.values.copy()
         values[:, self._leg_part] = angles
         self._planner.reference["state"] = Reference(reference.times, values, reference.kind)
         layout = self._planner.dynamics.input
-        if "input" in self._planner.reference and "leg" in layout:
+        if "input" in self._planner.reference and self._leg_group in layout:
             reference = self._planner.reference["input"]
             values = reference.values.copy()
-            values[:, layout["leg"]] = 0.0
+            values[:, layout[self._leg_group]] = 0.0
             self._planner.reference["input"] = Reference(reference.times, values, reference.kind)
         self._legs = angles
         self._brakes(True)
 
     def _click(self, is_open: bool) -> None:
-        """Brakes opened or closed by hand; where they would hold the base against nothing (H), :class:`InputError`."""
+        """Brakes opened or closed by hand; where they would hold the base against nothing, :class:`InputError`."""
         controller = self._controller
         check = getattr(controller.robot.base, "check_brakes", None)
         if is_open and check is not None:
-            check(controller.state()[self._leg_part], np.ones(4))
+            legs = controller.state()[self._leg_part]
+            check(legs, np.ones(legs.size))
         self._legs = None
         self._brakes(is_open)
 
@@ -273,9 +290,11 @@ class Steering:
         return float(np.all(self._controller.brakes(t) > 0.5)) if self.has_legs else np.nan
 
     def _brakes(self, is_open: bool) -> None:
-        values = np.full(4, float(is_open))
+        assert self._brakes_of_legs is not None, "only orders to legs come here"
+        brake, legs = self._brakes_of_legs
+        values = np.full(len(self._planner.dynamics.state.groups[legs]), float(is_open))
         name = "legs free" if is_open else "legs braked"
-        self._planner.set_schedule(ModeSchedule((Mode(name, {"brake": tuple(values)}),)))
+        self._planner.set_schedule(ModeSchedule((Mode(name, {brake: tuple(values)}),)))
         self._controller.brakes = lambda t: values
 
     # ------------------------------------------------------------------ weights

@@ -16,7 +16,7 @@ from wbmpc.bases.ball.model import BallBase
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
-from wbmpc.estimation.fused_odometry import AHEAD
+from wbmpc.estimation.late_poses import AHEAD
 from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 
@@ -84,7 +84,7 @@ class BallEstimator:
     def correct(self, time: float, pose: ArrayLike, covariance: ArrayLike) -> Array:
         """Take in another source's pose (x, y, yaw) of the base at ``time`` [s] with its covariance (3, 3), as of the update that
         is nearest to it; returns the state (2 nq) now. A pose that is older than :data:`HISTORY`, or of a future that no message
-        has come from (:data:`wbmpc.estimation.fused_odometry.AHEAD`), does not count.
+        has come from (:data:`wbmpc.estimation.late_poses.AHEAD`), does not count.
 
         Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; nothing is taken in then."""
         finite("ball robot's estimator", time=time)

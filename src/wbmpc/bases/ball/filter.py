@@ -57,7 +57,7 @@ class BallFilter:
         self.freedom, self.surprise = n + 1, 0.0
         gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ GRAVITY)
         self._gate = chi_square.gate(self.freedom, GATE)
-        constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "most": STALLED}
+        constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "largest_step": STALLED}
         self._memory = FilterMemory(geometry, noise, gate, backend, **constants)
         start = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
         self.state, s = start, noise

@@ -190,7 +190,7 @@ def explain(
 @step
 def process(
     f: Filter, message: Floats, given: Floats, last: Floats, gate: Floats, h: float, torque: float, bound: float, still: float,
-    most: float,
+    largest_step: float,
 ) -> tuple[int, int, float]:  # fmt: skip
     """Take in the wheels and a ``message`` of the inertial unit, without it if it cannot be true: which explanation of
     :func:`solve_robust` counts, what is wrong with the message, and what the redundant rows cost.
@@ -215,5 +215,5 @@ def process(
             gate[Gate.COUNTED], gate[Gate.JUMPED] = 1.0, 0.0
         elif fault == JUMPS:
             gate[Gate.JUMPED] = 1.0
-        advance(f, still, most)
+        advance(f, still, largest_step)
     return choice, fault, first

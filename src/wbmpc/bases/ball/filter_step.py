@@ -312,25 +312,25 @@ def apply(f: Filter) -> None:
 
 
 @compiled
-def detect_stalled(f: Filter, still: float, most: float) -> None:
+def detect_stalled(f: Filter, still: float, largest_step: float) -> None:
     """An encoder that stays within ``still`` [rad] of what it ``read`` (one may flicker by a count) while its wheel must have turned
-    by ``most`` [rad] since: ``way`` being by how much, ``gone`` (n) [rad] what the last interval gives to it."""
+    by ``largest_step`` [rad] since: ``way`` being by how much, ``gone`` (n) [rad] what the last interval gives to it."""
     wheel, read, way, stalled = f.wheel, f.read, f.way, f.stalled
     for i in range(f.n):
         if abs(wheel[i] - read[i]) > still:
             way[i], stalled[i], read[i] = 0.0, 0.0, wheel[i]
         else:
             way[i] += f.gone[i]
-            stalled[i] = 1.0 if abs(way[i]) > most else 0.0
+            stalled[i] = 1.0 if abs(way[i]) > largest_step else 0.0
 
 
 @compiled
-def advance(f: Filter, still: float, most: float) -> None:
+def advance(f: Filter, still: float, largest_step: float) -> None:
     """:func:`accept`, the ``rate`` (3) [rad/s] of the base by the last message that counted, and :func:`detect_stalled`."""
     accept(f)
     for i in range(3):
         f.rate[i] = f.gyro[i] - f.x[State.GYRO_BIAS + i]
-    detect_stalled(f, still, most)
+    detect_stalled(f, still, largest_step)
 
 
 @compiled

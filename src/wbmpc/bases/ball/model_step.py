@@ -1,66 +1,70 @@
-"""What a ball robot's controller makes of a new state by its model, compiled: see :class:`wbmpc.bases.ball.model_steps.ModelSteps`.
-
-``memory`` and ``table`` are the solver's, whose integrator and parameters the model has; ``state`` (nx), ``acted`` (nu): the state and
-the torques that acted there; ``trial`` (nx): room for another state.
-"""
+"""What a ball robot's controller makes of a new state by its model, compiled: see :class:`wbmpc.bases.ball.model_steps.ModelSteps`."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from wbmpc.bases.ball.compilation import MODEL
-from wbmpc.bases.ball.payload_step import update_mass
-from wbmpc.estimation.disturbance_step import Clock, Setting, observe
+from wbmpc.bases.ball.payload_step import Payload, update_mass
+from wbmpc.estimation.disturbance_step import Clock, Disturbance, Gate, Setting, observe
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
 from wbmpc.solver.receding import simulate
 
 call2 = PointerCall(2)
 
 
+class Model(NamedTuple):
+    """The model as a solver integrates it, from a state and the torques that acted there."""
+
+    memory: Floats  # of the solver, whose integrator and parameters the model has
+    table: Integers
+    state: Floats  # (nx)
+    acted: Floats  # (nu)
+    trial: Floats  # (nx), room for another state
+
+
+class Inertia(NamedTuple):
+    """A function of the coordinates that was compiled by itself."""
+
+    inertia: int  # its address
+    places: Integers  # (2), room for the addresses of its argument and its results
+    inertial: Floats  # (n n + n), its results: the mass matrix, and the weight of 1 kg at the tool
+
+
 @MODEL.step
-def accelerate(
-    nx: int, at: int, m: int, memory: Floats, table: Integers, state: Floats, acted: Floats, trial: Floats, acceleration: Floats,
-    h: float,
-) -> None:  # fmt: skip
+def accelerate(model: Model, nx: int, at: int, m: int, acceleration: Floats, h: float) -> None:
     """Mean ``acceleration`` (m) over h [s] of the state's speeds from ``at`` on."""
     for i in range(nx):
-        trial[i] = state[i]
-    simulate(memory, table, trial, acted, 1, h)
+        model.trial[i] = model.state[i]
+    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
     for i in range(m):
-        acceleration[i] = (trial[at + i] - state[at + i]) / h
+        acceleration[i] = (model.trial[at + i] - model.state[at + i]) / h
 
 
 @MODEL.step
 def learn(
-    n: int, gates: int, memory: Floats, table: Integers, state: Floats, acted: Floats, trial: Floats, velocity: Floats, speed: Floats,
-    after: Floats, mass: Floats, force: Floats, gate: Floats, felt: Floats, mean: Floats, innovation: Floats, clock: Floats,
-    settings: Floats, inertia: int, places: Integers, inertial: Floats, weighs: bool, weight: Floats, model: Floats, believed: Floats,
-    apart: Floats, load: Floats, rule: Floats, started: bool, t: float, h: float,
-) -> float:  # fmt: skip
-    """Disturbance and payload after the ``state`` at t [s], h [s] after the one before (``started``: there was one); returns how much of a
-    constant disturbance that can have learned. ``inertia``: address of a function of the n coordinates whose results, ``inertial``,
-    are the mass matrix and the weight of 1 kg at the tool."""
+    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, weighs: bool, started: bool, t: float, h: float
+) -> float:
+    """Disturbance and payload (``weighs``: there is one) after a state at t [s], h [s] after the one before (``started``: there was one);
+    returns how much of a constant disturbance that can have learned."""
+    n = d.size
     if not started:
-        clock[Clock.NEW_UNTIL] = t + settings[Setting.LONGEST]
+        g.clock[Clock.NEW_UNTIL] = t + g.settings[Setting.LONGEST]
     for i in range(n):
-        velocity[i] = state[n + i]
+        d.velocity[i] = model.state[n + i]
         if not started:
-            speed[i] = state[n + i]
-        trial[i], trial[n + i] = state[i], speed[i]
-    simulate(memory, table, trial, acted, 1, h)
-    places[0], places[1] = state.ctypes.data, inertial.ctypes.data
-    call2(inertia, places.ctypes.data, places.ctypes.data + 8)
+            g.speed[i] = model.state[n + i]
+        model.trial[i], model.trial[n + i] = model.state[i], g.speed[i]
+    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
+    by.places[0], by.places[1] = model.state.ctypes.data, by.inertial.ctypes.data
+    call2(by.inertia, by.places.ctypes.data, by.places.ctypes.data + 8)
     for i in range(n):
-        after[i] = trial[n + i]
+        d.after[i] = model.trial[n + i]
     for i in range(n * n):
-        mass[i] = inertial[i]
-    learning = observe(
-        size=n, gates=gates, velocity=velocity, speed=speed, after=after, mass=mass, force=force, gate=gate, felt=felt, mean=mean,
-        innovation=innovation, clock=clock, settings=settings, t=t, h=h,
-    )  # fmt: skip
+        d.mass[i] = by.inertial[i]
+    learning = observe(d, g, t, h)
     if weighs:
         for i in range(n):
-            weight[i] = inertial[n * n + i]
-        update_mass(
-            n=n, velocity=velocity, after=after, innovation=innovation, mass=mass, force=force, weight=weight, model=model,
-            believed=believed, apart=apart, load=load, rule=rule, learning=learning, h=h,
-        )  # fmt: skip
+            p.weight[i] = by.inertial[n * n + i]
+        update_mass(d, p, learning, h)
     return learning

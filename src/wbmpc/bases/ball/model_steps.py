@@ -47,7 +47,7 @@ class ModelSteps:
             inertial = {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)}
             self._inertia = _inertia(robot)
             constants = {
-                "n": n,
+                "size": n,
                 "gates": observer.gate.size,
                 "inertia": self._inertia.address,
                 "weighs": payload is not None,

@@ -101,5 +101,5 @@ class PayloadEstimator:
         if "update_mass" not in self._steps:
             own = {name: np.zeros(n) for name in ("weight", "model", "believed", "apart")}
             self._own = own | {name: self._arrays[name] for name in ("load", "rule")}
-            self._steps["update_mass"] = bind(update_mass, observed | self._own, self._backend, n=n)
+            self._steps["update_mass"] = bind(update_mass, observed | self._own, self._backend, size=n)
         return self._own

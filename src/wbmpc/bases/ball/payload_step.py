@@ -9,10 +9,12 @@ Arrays: ``weight`` (n) [N, N m] of 1 kg, ``force`` (n) [N, N m] that is learned,
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
+from wbmpc.estimation.disturbance_step import Disturbance
 from wbmpc.kernel.ir import Floats
 
 #: Gain [1/s] of the arm's speed under the model; of the mass [1/s]; masses [kg] from which on it counts, and until when.
@@ -47,6 +49,17 @@ class Rule(IntEnum):
     SURE = 2
     BASE_SPREAD = 3
     ARM_SPREAD = 4
+
+
+class Payload(NamedTuple):
+    """What the mass of n coordinates is found by, beside a :class:`Disturbance`."""
+
+    weight: Floats  # (n) [N, N m] of 1 kg
+    model: Floats  # (n), the accelerations that the model explains
+    believed: Floats  # (n), the speed under it
+    apart: Floats  # (n), what is measured besides
+    load: Floats  # Load
+    rule: Floats  # Rule
 
 
 @compiled
@@ -86,59 +99,52 @@ def learn(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, h: 
 
 
 @compiled
-def detect_change(
-    n: int, velocity: Floats, model: Floats, mass: Floats, force: Floats, weight: Floats, believed: Floats, apart: Floats,
-    load: Floats, learning: float, h: float,
-) -> tuple[float, float]:  # fmt: skip
-    """By how much [kg] the mass changes over ``h`` [s], and which share of that is in the ``force`` already. ``velocity`` (n) as
-    measured, ``model`` (n): the accelerations that the model explains, ``believed`` (n): the speed under it; ``mass`` (n, n):
-    the inertia; ``learning``: from 0 (fast motion) to 1 (at rest)."""
-    for i in range(n):
-        if load[Load.STARTED] == 0.0:
-            believed[i] = velocity[i]
-        apart[i] = SPEED_GAIN * (velocity[i] - believed[i])
-        believed[i] += h * (model[i] + apart[i])
-    load[Load.STARTED] = 1.0
-    load[Load.CALM] = load[Load.CALM] + h if learning > STILL else 0.0
-    load[Load.LEFT] = AFTER if load[Load.CALM] >= CALM else load[Load.LEFT] - h
+def detect_change(d: Disturbance, p: Payload, learning: float, h: float) -> tuple[float, float]:
+    """By how much [kg] the mass changes over ``h`` [s], and which share of that is in the force already. ``learning``: from 0 (fast
+    motion) to 1 (at rest)."""
+    for i in range(d.size):
+        if p.load[Load.STARTED] == 0.0:
+            p.believed[i] = d.velocity[i]
+        p.apart[i] = SPEED_GAIN * (d.velocity[i] - p.believed[i])
+        p.believed[i] += h * (p.model[i] + p.apart[i])
+    p.load[Load.STARTED] = 1.0
+    p.load[Load.CALM] = p.load[Load.CALM] + h if learning > STILL else 0.0
+    p.load[Load.LEFT] = AFTER if p.load[Load.CALM] >= CALM else p.load[Load.LEFT] - h
     square, alike, known, whole, moved = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(BASE, n):
-        own, moving = force[i], 0.0
-        for j in range(n):
-            own += mass[i * n + j] * apart[j]
-            moving += mass[i * n + j] * model[j]
-        square += weight[i] * weight[i]
-        alike += weight[i] * own
-        known += weight[i] * force[i]
+    for i in range(BASE, d.size):
+        own, moving = d.force[i], 0.0
+        for j in range(d.size):
+            own += d.mass[i * d.size + j] * p.apart[j]
+            moving += d.mass[i * d.size + j] * p.model[j]
+        square += p.weight[i] * p.weight[i]
+        alike += p.weight[i] * own
+        known += p.weight[i] * d.force[i]
         whole += own * own
         moved += moving * moving
     if square == 0.0:
         return 0.0, 0.0
-    kilograms, changing = alike / square, load[Load.CHANGING] > 0.0
+    kilograms, changing = alike / square, p.load[Load.CHANGING] > 0.0
     size = abs(kilograms) * np.sqrt(square)
     enough = abs(kilograms) > ENDS
     if not changing:
-        enough = abs(kilograms) > max(BEGINS, UNEXPLAINED * np.sqrt(moved / square)) and load[Load.LEFT] > 0.0
+        enough = abs(kilograms) > max(BEGINS, UNEXPLAINED * np.sqrt(moved / square)) and p.load[Load.LEFT] > 0.0
     unlike = np.sqrt(max(whole - size * size, 0.0))
-    load[Load.CHANGING] = 1.0 if enough and unlike < UNLIKE * size else 0.0
-    if load[Load.CHANGING] == 0.0:
+    p.load[Load.CHANGING] = 1.0 if enough and unlike < UNLIKE * size else 0.0
+    if p.load[Load.CHANGING] == 0.0:
         return 0.0, 0.0
     return h * MASS_GAIN * kilograms, min(max(known / (square * kilograms), 0.0), 1.0)
 
 
 @step
-def update_mass(
-    n: int, velocity: Floats, after: Floats, innovation: Floats, mass: Floats, force: Floats, weight: Floats, model: Floats,
-    believed: Floats, apart: Floats, load: Floats, rule: Floats, learning: float, h: float,
-) -> None:  # fmt: skip
-    """The mass of this tick, at once where a load comes or goes, else as it is learned; the ``force`` goes without it. ``velocity``,
-    ``after``, ``innovation`` and ``mass`` are those of :func:`wbmpc.estimation.disturbance_step.observe`, ``h`` [s] ago."""
-    if not arm_observes_mass(n, weight, rule):
+def update_mass(d: Disturbance, p: Payload, learning: float, h: float) -> None:
+    """The mass of this tick, at once where a load comes or goes, else as it is learned; the force goes without it. What is known of the
+    disturbance is that of :func:`wbmpc.estimation.disturbance_step.observe`, ``h`` [s] ago."""
+    if not arm_observes_mass(d.size, p.weight, p.rule):
         return
-    for i in range(n):
-        model[i] = (after[i] - velocity[i] + innovation[i]) / h
-    by, known = detect_change(n, velocity, model, mass, force, weight, believed, apart, load, learning, h)
-    if load[Load.CHANGING] > 0.0:
-        change(n, weight, force, load, rule, by, known)
+    for i in range(d.size):
+        p.model[i] = (d.after[i] - d.velocity[i] + d.innovation[i]) / h
+    by, known = detect_change(d, p, learning, h)
+    if p.load[Load.CHANGING] > 0.0:
+        change(d.size, p.weight, d.force, p.load, p.rule, by, known)
     else:
-        learn(n, weight, force, load, rule, learning * h)
+        learn(d.size, p.weight, d.force, p.load, p.rule, learning * h)

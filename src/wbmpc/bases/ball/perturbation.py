@@ -1,25 +1,58 @@
-"""Which perturbations the plant of ball robots reads."""
+"""How a simulated ball robot differs from the planner's model."""
 
 from __future__ import annotations
 
-from wbmpc.simulation.perturbation import Perturbation
+from typing import Annotated, ClassVar, Literal
 
-#: Settings of :class:`Perturbation` that this plant reads.
-READS = frozenset(
-    {
-        "mass", "inertia", "com_offset", "joint_offset", "wheel_radius", "wheel_radius_each", "actuator_time_constant",
-        "actuator_time_constant_spread", "actuator_dead_time", "drives", "friction", "torsional_friction", "encoder_jitter",
-        "arm_counts", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise", "accel_bias", "accel_walk",
-        "state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise", "floor_cables",
-    }
-)  # fmt: skip
-#: What a ball robot has in the place of others.
-INSTEAD = {
-    "brake_fault": "is for swerve robots only; a ball robot has no brakes",
-    "payload": "is for swerve robots only; a ball robot's mass at the end effector is 'payload'",
-}
+from pydantic import BeforeValidator, Field
+
+from wbmpc.configuration import kind_alone
+from wbmpc.simulation.perturbation import Choice, InertialUnit, WheelRadii
 
 
-def check_perturbation(perturbation: Perturbation) -> None:
-    """Raise :class:`InputError` for a setting that this plant does not read."""
-    perturbation.check_read(READS, "is for swerve robots only", INSTEAD)
+class RigidDrives(Choice):
+    """Drives without springs."""
+
+    kind: Literal["rigid"] = "rigid"
+
+
+class SeriesElasticDrives(Choice):
+    """Torque drives behind springs (:mod:`wbmpc.simulation.elastic_drives`). ``wheel_spring`` [N m/rad]: stiffness at the wheels;
+    ``arm_spring`` [N m/rad]: stiffness at the arm's joints; ``wheel_rotor`` [kg m²]: a wheel drive's rotor, at the joint; ``arm_rotor``
+    [kg m²]: an arm drive's rotor, at the joint; ``spring_damping``: damping ratio of the springs; ``torque_gain``: gain of the torque loop;
+    ``torque_damping``: damping of the torque loop. Their figures are assumed: none are published."""
+
+    kind: Literal["elastic"] = "elastic"
+    wheel_spring: float = Field(default=40.0, gt=0, le=1e9)
+    arm_spring: float = Field(default=300.0, gt=0, le=1e9)
+    wheel_rotor: float = Field(default=0.010, gt=0, le=1000)
+    arm_rotor: float = Field(default=0.050, gt=0, le=1000)
+    spring_damping: float = Field(default=0.02, ge=0, le=2)
+    torque_gain: float = Field(default=1.0, ge=0, le=20)
+    torque_damping: float = Field(default=0.2, ge=0, le=2)
+
+
+Drives = Annotated[RigidDrives | SeriesElasticDrives, Field(discriminator="kind"), BeforeValidator(kind_alone)]
+
+
+class BallPerturbation(InertialUnit, WheelRadii):
+    """Torque drives: ``actuator_dead_time`` [s]: dead time of the drives, whole physics steps; ``drives``: rigid, or elastic
+    (:class:`SeriesElasticDrives`). ``torsional_friction`` [m]: friction about the vertical of what rolls on the floor at one point, as
+    torque over weight; ``floor_cables`` [m]: height of a grid of cables on the floor.
+
+    An idealized state sensor has ``state_age`` [s]: age of the state sensor's message; ``position_noise`` [m]: noise of the state sensor's
+    positions; ``angle_noise`` [rad]: noise of the state sensor's angles; ``speed_noise`` [m/s]: noise of the state sensor's speeds;
+    ``rate_noise`` [rad/s]: noise of the state sensor's angular rates.
+    """
+
+    LEFT: ClassVar[dict[str, float]] = {"torsional_friction": 0.01}
+
+    actuator_dead_time: float = Field(default=0.0, ge=0, le=0.5)
+    drives: Drives = RigidDrives()
+    torsional_friction: float = Field(default=0.01, ge=0, le=1)
+    state_age: float = Field(default=0.005, ge=0, le=1.0)
+    position_noise: float = Field(default=1e-3, ge=0, le=100)
+    angle_noise: float = Field(default=2e-3, ge=0, le=3.2)
+    speed_noise: float = Field(default=0.01, ge=0, le=100)
+    rate_noise: float = Field(default=0.02, ge=0, le=100)
+    floor_cables: float = Field(default=0.0, ge=0, le=0.02)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
-from wbmpc.bases.ball.perturbation import check_perturbation
+from wbmpc.bases.ball.perturbation import BallPerturbation, RigidDrives, SeriesElasticDrives
 from wbmpc.bases.ball.sensor_step import minimal_state
 from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
 from wbmpc.bases.ball.servo import ActuatorServo
@@ -28,7 +28,7 @@ from wbmpc.robots.checks import named
 from wbmpc.simulation.contacts import GROUND, ROLLING
 from wbmpc.simulation.elastic_drives import ElasticDrives
 from wbmpc.simulation.payloads import add_payload, lay_cables
-from wbmpc.simulation.perturbation import Perturbation, RigidDrives, SeriesElasticDrives
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import (
     TIMESTEP,
     Array,
@@ -86,8 +86,7 @@ class BallPlant(WorldAccess):
         if not isinstance(description.base, BallBaseDescription):
             raise InputError(f"{description.name}: this plant needs a ball base")
         self.description, self.base, self.timestep = description, description.base, timestep
-        p = self.perturbation = perturbation or Perturbation()
-        check_perturbation(p)
+        p = self.perturbation = BallPerturbation.of(perturbation, description)
         draw_rng, self._noise, sensor_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         arm, spec = list(description.arm.joints), load_spec(description)
         bodies = [b.name for b in spec.bodies if b.name != "world"]

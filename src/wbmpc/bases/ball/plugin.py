@@ -16,6 +16,7 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
+    from wbmpc.bases.ball.perturbation import BallPerturbation
     from wbmpc.bases.ball.plant import BallPlant
     from wbmpc.bases.ball.ros_plant import BallRosPlant
     from wbmpc.bases.ball.ros_settings import BallRosSettings
@@ -40,6 +41,12 @@ class BallBaseType(BaseType):
         assert isinstance(base, BallBaseDescription)
         tree = read_tree(spec, base.body, without=(base.ball,))
         return BallBase(description, tree, read_tree(spec, base.ball).links[0])
+
+    def perturbation(self) -> type[BallPerturbation]:
+        """Torque drives, a state sensor, cables on the floor."""
+        from wbmpc.bases.ball.perturbation import BallPerturbation
+
+        return BallPerturbation
 
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None

@@ -1,7 +1,7 @@
 """Encoders and inertial unit of a ball robot, with their noise, biases and faults.
 
 The inertial unit averages between two messages, as units do that sample fast and decimate (ADIS16448: 819 samples a second
-through an averaging filter; 0.0135 °/s/√Hz and 0.23 mg/√Hz; the densities of :class:`Perturbation` are of that order).
+through an averaging filter; 0.0135 °/s/√Hz and 0.23 mg/√Hz; the densities of :class:`BallPerturbation` are of that order).
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.sensor_step import GRAVITY, measure
 from wbmpc.errors import unknown_name
 from wbmpc.kernel.step import Backend, bind
-from wbmpc.simulation.perturbation import Perturbation, PlantSample, quantize
+from wbmpc.simulation.perturbation import PlantSample, quantize
 
 Array = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ class BallSensors:
     (:mod:`wbmpc.bases.ball.sensor_step`), or the same source as ordinary Python."""
 
     def __init__(
-        self, p: Perturbation, draw: PlantSample, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
+        self, p: BallPerturbation, draw: PlantSample, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
         rng: np.random.Generator, sizes: tuple[int, int], ball: tuple[int, int], backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         self._p, self._h, self._rng, self._jitter = p, timestep, rng, jitter

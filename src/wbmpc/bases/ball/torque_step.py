@@ -8,7 +8,7 @@ from wbmpc.bases.ball.compilation import step
 from wbmpc.kernel.ir import Floats
 
 #: A wheel that hardly changes the spin counts as if it did by this share of it.
-LEAST = 1e-9
+MIN_TURN = 1e-9
 
 
 @step
@@ -36,8 +36,8 @@ def limit_torques(
     for i in range(n):
         spin += (effect[i] * x + effect[n + i] * y + effect[2 * n + i] * z) * torque[i]
         turn[i] = causes[3 * i] * x + causes[3 * i + 1] * y + causes[3 * i + 2] * z
-        if abs(turn[i]) < LEAST:
-            turn[i] = LEAST
+        if abs(turn[i]) < MIN_TURN:
+            turn[i] = MIN_TURN
     at[n], room[n] = 0.0, largest
     for i in range(n):
         out[i] = torque[i] - spin * turn[i]

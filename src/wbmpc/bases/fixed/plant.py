@@ -12,17 +12,9 @@ from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import ArmPlant
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import ArmPerturbation, Perturbation
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_floor, add_light, set_options
 from wbmpc.types import Truth
-
-#: Settings of :class:`Perturbation` that this plant reads.
-READS = frozenset(
-    {
-        "mass", "inertia", "com_offset", "joint_offset", "actuator_time_constant", "actuator_time_constant_spread",
-        "encoder_jitter", "arm_counts", "payload", "friction",
-    }
-)  # fmt: skip
 
 
 class FixedPlant(ArmPlant):
@@ -42,9 +34,7 @@ class FixedPlant(ArmPlant):
         edit: Edit | None = None,
     ) -> None:
         description = self.description = robot.description
-        self.timestep, self.perturbation = timestep, perturbation or Perturbation()
-        reason = f"a robot whose base does not move does not read it; valid: {', '.join(sorted(READS))}"
-        self.perturbation.check_read(READS, reason, {})
+        self.timestep, self.perturbation = timestep, ArmPerturbation.of(perturbation, description)
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         names = list(description.arm.joints)
         self._names = {"arm": names}

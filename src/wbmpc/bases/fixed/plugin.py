@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
-    from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.perturbation import ArmPerturbation, Perturbation
     from wbmpc.simulation.world import Edit
 
 #: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
@@ -50,6 +50,12 @@ class FixedBaseType(BaseType):
         mujoco.mj_kinematics(model, data)
         tree = read_tree(spec, description.base.body)
         return FixedBase(description, tree, data.xpos[body].copy(), data.xquat[body].copy())
+
+    def perturbation(self) -> type[ArmPerturbation]:
+        """Of an arm."""
+        from wbmpc.simulation.perturbation import ArmPerturbation
+
+        return ArmPerturbation
 
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None

@@ -44,8 +44,7 @@ class FixedRosAdapter(BaseAdapter):
         self.pending.bind(self.mpc)
         lag = settings.actuator_time_constant
         self.controller = DirectController(robot, self.mpc, period, lag, rate=robot.limits.input_rate)
-        none = np.zeros(0)
-        self._rest = {"wheel": none, "steer": none, "arm": np.zeros(robot.input.size), "brake": none}
+        self._rest = {"arm": np.zeros(robot.input.size)}
         robot.pose(robot.home)  # builds the function: not in a tick
 
     def problem(self, cost: DefaultCost) -> OptimalControlProblem:
@@ -59,7 +58,7 @@ class FixedRosAdapter(BaseAdapter):
 
     def groups(self, command: InputCommand) -> Groups:
         """A command by groups."""
-        return {**self._rest, "arm": command.input}
+        return {"arm": command.input}
 
     # ------------------------------------------------------------------ states
     def measurement(

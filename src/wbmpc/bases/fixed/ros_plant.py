@@ -18,8 +18,7 @@ class FixedRosPlant(RosPlant):
 
     def rest(self) -> dict[str, Array]:
         """Everything at rest."""
-        none = np.zeros(0)
-        return {"wheel": none, "steer": none, "arm": np.zeros(self.robot.input.size), "brake": none}
+        return {"arm": np.zeros(self.robot.input.size)}
 
     def command(self, groups: dict[str, Array]) -> InputCommand:
         """What the drives get."""

@@ -9,14 +9,13 @@ from wbmpc import lie
 from wbmpc.bases.planar_motion.description import PlanarBaseDescription
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.model import PlanarBase
-from wbmpc.bases.planar_motion.perturbation import check_perturbation
 from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.contacts import ROLLING
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
@@ -45,8 +44,7 @@ class PlanarPlant(WheeledPlant):
         self.description = description
         assert isinstance(description.base, PlanarBaseDescription) and isinstance(robot.base, PlanarBase)
         self.base, self.model_base, self.timestep = description.base, robot.base, timestep
-        self.perturbation = perturbation or Perturbation()
-        check_perturbation(self.perturbation)
+        self.perturbation = WheeledPerturbation.of(perturbation, description)
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         self._names = {
             "wheel": self.base.wheel_joints(),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.settings import StabilitySettings
-    from wbmpc.simulation.perturbation import Perturbation
+    from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
     from wbmpc.simulation.world import Edit
 
 Array = NDArray[np.float64]
@@ -70,6 +70,12 @@ class PlanarBaseType(BaseType):
         return default_mpc(
             robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
         )
+
+    def perturbation(self) -> type[WheeledPerturbation]:
+        """Of a robot on wheels."""
+        from wbmpc.simulation.perturbation import WheeledPerturbation
+
+        return WheeledPerturbation
 
     def system(
         self,

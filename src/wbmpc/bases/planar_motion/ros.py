@@ -199,8 +199,8 @@ class PlanarRosAdapter(BaseAdapter):
 
     def groups(self, command: PlanarCommand) -> Groups:
         """A command by groups."""
-        steer = command.steer if command.steer.size else self._rest["steer"]
-        return {"wheel": command.wheel, "steer": steer, "arm": command.arm, "brake": self._rest["brake"]}
+        steer = {"steer": command.steer} if command.steer.size else {}
+        return {**self._rest, "wheel": command.wheel, "arm": command.arm, **steer}
 
     # ------------------------------------------------------------------ states
     def measurement(

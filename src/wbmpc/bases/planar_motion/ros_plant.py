@@ -22,7 +22,7 @@ class PlanarRosPlant(RosPlant):
 
     def command(self, groups: dict[str, Array]) -> PlanarCommand:
         """What the drives get."""
-        return PlanarCommand(groups["wheel"], groups["arm"], groups["steer"])
+        return PlanarCommand(groups["wheel"], groups["arm"], groups.get("steer", np.zeros(0)))
 
     def read(self) -> Reading:
         """What the sensors say."""

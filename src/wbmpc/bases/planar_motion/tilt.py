@@ -96,8 +96,8 @@ class LevelArm:
         c, s = np.cos(x[2]), np.sin(x[2])
         lean = np.array([c * turned[0] - s * turned[1], s * turned[0] + c * turned[1], 0.0])
         arm = position.ravel() - [x[0], x[1], 0.0]
-        wanted = np.concatenate([np.cross(lean, arm), LEVER * lean])
-        moved = rows.T @ np.linalg.solve(rows @ rows.T + DAMPING**2 * np.eye(6), wanted)
+        target = np.concatenate([np.cross(lean, arm), LEVER * lean])
+        moved = rows.T @ np.linalg.solve(rows @ rows.T + DAMPING**2 * np.eye(6), target)
         found: Array = x.copy()
         found[self._arm] += moved
         found[:2] += (wanted - rows @ moved)[:2]

@@ -203,7 +203,7 @@ def _fitted(
         widened, previous = True, replace(previous, covariance=previous.covariance * np.outer(scale, scale))
         start = replace(found, covariance=previous.covariance)
     _checked(odometry, record, previous, found)
-    return WheelFit(found, previous, odometry.taken, len(record.places))
+    return WheelFit(found, previous, odometry.global_poses.taken, len(record.places))
 
 
 def _as_believed(
@@ -225,8 +225,8 @@ def _as_believed(
 
 def _contradicted(odometry: FusedOdometry) -> bool:
     """Whether too few global poses fit, or those that do fit badly."""
-    lost = odometry.rejected > REJECTED * (odometry.taken + odometry.rejected)
-    return odometry.taken < 2 or lost or odometry.misfit > MISFIT
+    lost = odometry.global_poses.rejected > REJECTED * (odometry.global_poses.taken + odometry.global_poses.rejected)
+    return odometry.global_poses.taken < 2 or lost or odometry.global_poses.misfit > MISFIT
 
 
 def _doubts(
@@ -257,10 +257,10 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibr
     """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
     n, available = found.modules, len(record.places)
     if _contradicted(odometry):
-        times = f"{np.sqrt(odometry.misfit / 3.0):.1f} times"
-        why = "" if odometry.taken < 2 else f", with {times} the errors that they state"
+        times = f"{np.sqrt(odometry.global_poses.misfit / 3.0):.1f} times"
+        why = "" if odometry.global_poses.taken < 2 else f", with {times} the errors that they state"
         raise InputError(
-            f"log: {odometry.taken} of {available} global poses fit what wheels and gyro say{why}, though steer zeros may be "
+            f"log: {odometry.global_poses.taken} of {available} global poses fit what wheels and gyro say{why}, though steer zeros may be "
             f"{1e3 * previous.std[0].max():.3g} mrad off and radii {100 * previous.std[1].max():.2g} %; check units, signs, times "
             "and standard deviations of the channel 'place', and whether the base was moved by hand or slipped"
         )

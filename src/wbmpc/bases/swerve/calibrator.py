@@ -21,7 +21,7 @@ def steer_joints(robot: RobotModel) -> list[str]:
 
 
 class SwerveCalibrator:
-    """See :class:`wbmpc.bases.base.Calibrator`."""
+    """See :class:`wbmpc.bases.calibrator.Calibrator`."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.names, self.geometry, self._robot = steer_joints(robot), robot.base.geometry, robot
@@ -34,7 +34,7 @@ class SwerveCalibrator:
         return found
 
     def fit_arm(self, channels: Mapping[str, np.ndarray], source: str) -> dict[str, dict[str, float]] | None:
-        """See :class:`wbmpc.bases.base.Calibrator`."""
+        """See :class:`wbmpc.bases.calibrator.Calibrator`."""
         if "tracked" not in channels:
             return None
         joints, rows = list(self._robot.input.groups["arm"]), np.atleast_2d(np.asarray(channels["tracked"], float))

@@ -16,7 +16,7 @@ TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005
 #: Times [s] in which the velocity goes to the wheels', and in which accelerations' zeros are learned.
 FOLLOW, ACCELERATION_ZEROS = 0.05, 3.0
 #: A wheel whose velocity is off by this [m/s] counts half; share of the correction that is left where no wheel is near.
-NEAR, LEAST = 0.02, 0.05
+NEAR, MIN_SHARE = 0.02, 0.05
 #: What a wheel counts at most of which the controller knows that it slips.
 ANNOUNCED = 0.05
 
@@ -49,7 +49,7 @@ def inertial_velocity(
         total += weights[i]
         ahead += weights[i] * off_x
         aside += weights[i] * off_y
-    gain = h / FOLLOW * max(total / n, LEAST) / max(total, 1e-9)
+    gain = h / FOLLOW * max(total / n, MIN_SHARE) / max(total, 1e-9)
     for j in range(2):
         off = gain * (ahead if j == 0 else aside)
         inertial[j] += off

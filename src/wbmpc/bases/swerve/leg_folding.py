@@ -144,11 +144,11 @@ class LegFolding:
         """Of base poses in ``states`` (k, nx) at ``times`` (k) [s]: shares (k, n) of each leg's way to its narrowest angle, and how far
         aside (k) [m] the base has to be; zeros where the body does not pass either."""
         k, m = len(times), len(ASIDE)
-        wanted = float(self.robot.description.collision.margin) + GAP
+        target = float(self.robot.description.collision.margin) + GAP
         at = np.repeat(times, m)
         moved = self._shifted(np.repeat(states, m, axis=0), np.tile(ASIDE, k))
         body = self._distances(snapshot, at, moved, [self._body])[:, 0].reshape(k, m)
-        capped = np.minimum(body, wanted)
+        capped = np.minimum(body, target)
         passes = capped.max(axis=1) > 0.0
         aside = np.where(
             passes, ASIDE[np.argmax(capped, axis=1)], 0.0
@@ -157,7 +157,7 @@ class LegFolding:
         asked = turned[:, self._leg]
         turned[:, self._leg] = asked + np.tile(SHARES, k)[:, None] * (self._narrow - asked)
         legs = self._distances(snapshot, np.repeat(times, len(SHARES)), turned, self._of_leg)
-        clear = legs.reshape(k, len(SHARES), -1) >= wanted
+        clear = legs.reshape(k, len(SHARES), -1) >= target
         shares = np.where(clear.any(axis=1), SHARES[np.argmax(clear, axis=1)], 1.0) * passes[:, None]
         for pair in (self._pair, ~self._pair):
             shares[:, pair] = shares[:, pair].max(axis=1, keepdims=True, initial=0.0)
@@ -197,6 +197,6 @@ def _times(t: float, duration: float) -> Array:
 def _reachable(needed: Array, times: Array, rate: float, start: float) -> Array:
     """The least curve above ``needed`` (k) that changes by ``rate`` at most, as far as it can be reached from ``start``."""
     slack = rate * np.abs(times[:, None] - times[None, :])
-    least = (needed[None, :] - slack).max(axis=1)
+    minimum = (needed[None, :] - slack).max(axis=1)
     room = rate * (times - times[0])
-    return np.asarray(np.clip(least, start - room, start + room))
+    return np.asarray(np.clip(minimum, start - room, start + room))

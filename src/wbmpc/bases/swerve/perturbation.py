@@ -1,32 +1,39 @@
-"""Which perturbations the plant of swerve robots reads."""
+"""How a simulated swerve robot differs from the planner's model."""
 
 from __future__ import annotations
 
-from wbmpc.simulation.perturbation import Perturbation
+from typing import Annotated, Literal
 
-#: Settings of :class:`Perturbation` that this plant reads.
-READS = frozenset(
-    {
-        "mass", "inertia", "com_offset", "joint_offset", "steer_offset", "wheel_radius", "wheel_radius_each",
-        "actuator_time_constant", "actuator_time_constant_spread", "dry_friction", "brake_delay", "friction", "encoder_jitter",
-        "encoder_counts", "arm_counts", "steer_noise", "gyro_noise", "gyro_bias", "gyro_walk", "accel_noise",
-        "accel_bias", "accel_walk", "effort_gain", "effort_noise", "payload", "body_payload", "slope", "brake_fault",
-    }
-)  # fmt: skip
-_SENSORS = (
-    "is for ball robots only; a swerve robot has encoders and an inertial unit: 'plant.encoder_jitter', 'plant.steer_noise', "
-    "'plant.gyro_noise'"
-)
-_DRIVES = "is for ball robots only; a swerve robot's drives have 'plant.actuator_time_constant'"
-#: What a swerve robot has in the place of others.
-INSTEAD = {
-    "floor_cables": "is for ball robots only; swerve-drive and swerve-plaster have their own",
-    "torsional_friction": "is for ball robots only; a swerve robot's wheels hold the floor by 'plant.friction' alone",
-    **dict.fromkeys(("actuator_dead_time", "drives"), _DRIVES),
-    **dict.fromkeys(("state_age", "position_noise", "angle_noise", "speed_noise", "rate_noise"), _SENSORS),
-}
+from pydantic import BeforeValidator, Field
+
+from wbmpc.configuration import kind_alone
+from wbmpc.simulation.perturbation import Choice, WheeledPerturbation
 
 
-def check_perturbation(perturbation: Perturbation) -> None:
-    """Raise :class:`InputError` for a setting that this plant does not read."""
-    perturbation.check_read(READS, "is for ball robots only", INSTEAD)
+class SoundBrakes(Choice):
+    """Brakes that do what they are commanded to."""
+
+    kind: Literal["none"] = "none"
+
+
+class StuckBrake(Choice):
+    """A brake that stays open or closed. ``leg``: whose brake, the leg's place in the description, from 0; ``time`` [s]: from when on, of
+    the plant, which stands for ``settle_time`` first."""
+
+    kind: Literal["open", "closed"]
+    leg: int = Field(default=0, ge=0, le=1000)
+    time: float = Field(default=0.0, ge=0, le=1e6)
+
+
+BrakeFaults = Annotated[SoundBrakes | StuckBrake, Field(discriminator="kind"), BeforeValidator(kind_alone)]
+
+
+class SwervePerturbation(WheeledPerturbation):
+    """``steer_offset`` [rad]: zero errors of the steering encoders (measured = true + offset); ``steer_noise`` [rad]: standard deviation
+    of the steering encoders per message; ``brake_delay`` [s]: time that a brake takes to open and to close; ``brake_fault``: none, or a
+    brake that stays open or closed (:class:`StuckBrake`)."""
+
+    steer_offset: float = Field(default=0.003, ge=0, le=3.2)
+    steer_noise: float = Field(default=0.0, ge=0, le=3.2)
+    brake_delay: float = Field(default=0.10, ge=0, le=100)
+    brake_fault: BrakeFaults = SoundBrakes()

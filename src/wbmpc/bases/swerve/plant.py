@@ -16,7 +16,7 @@ from wbmpc import lie
 from wbmpc.bases.swerve.brakes import BRAKE_FORCE, BRAKE_TORQUE, Brakes
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
-from wbmpc.bases.swerve.perturbation import check_perturbation
+from wbmpc.bases.swerve.perturbation import StuckBrake, SwervePerturbation
 from wbmpc.bases.swerve.slip_step import contact_slips
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
@@ -27,7 +27,7 @@ from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localization
-from wbmpc.simulation.perturbation import Perturbation, StuckBrake, clipped
+from wbmpc.simulation.perturbation import Perturbation, clipped
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_slide
 from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
 from wbmpc.types import Truth
@@ -73,6 +73,8 @@ class SwervePlant(WheeledPlant):
     ``localization``: a source of global poses, which come with the messages.
     """
 
+    perturbation: SwervePerturbation
+
     def __init__(
         self,
         description: RobotDescription,
@@ -90,8 +92,7 @@ class SwervePlant(WheeledPlant):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         reject_two_wheels(description)
         self.description, self.base, self.timestep = description, description.base, timestep
-        self.perturbation, self.localization = perturbation or Perturbation(), localization
-        check_perturbation(self.perturbation)
+        self.perturbation, self.localization = SwervePerturbation.of(perturbation, description), localization
         self._reject_brake_fault()
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)

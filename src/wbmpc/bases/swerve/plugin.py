@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.leg_folding import LegFolding
+    from wbmpc.bases.swerve.perturbation import SwervePerturbation
     from wbmpc.bases.swerve.plant import SwervePlant
     from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
@@ -55,6 +56,12 @@ class SwerveBaseType(BaseType):
         base = SwerveBase(description, read_tree(spec, description.base.body))
         base.warn(description)
         return base
+
+    def perturbation(self) -> type[SwervePerturbation]:
+        """Steering encoders and brakes."""
+        from wbmpc.bases.swerve.perturbation import SwervePerturbation
+
+        return SwervePerturbation
 
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
@@ -104,6 +111,12 @@ class SwerveBaseType(BaseType):
         folding = LegFolding(robot, mpc)
         folding.attach(controller)
         return folding
+
+    def configurations(self, robot: RobotModel) -> Mapping[str, Array]:
+        """H, X and A of a base with two front and two rear legs."""
+        from wbmpc.bases.swerve.configurations import configurations
+
+        return configurations(robot)
 
     def ros_settings(self, description: RobotDescription) -> type[SwerveRosSettings]:
         """Weights of the swerve problem, gyro and legs."""

@@ -30,7 +30,7 @@ from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
-from wbmpc.ros2.settings import GROUPS
+from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
 
 Array = np.ndarray
@@ -188,8 +188,7 @@ class SwerveRosAdapter(BaseAdapter):
         )
         self._twists: Reference | None = None
         self._has_imu = False
-        groups = robot.input.groups
-        self._rest = {g: np.zeros(len(groups.get("leg" if g == "brake" else g, ()))) for g in GROUPS}
+        self._rest = {g: np.zeros(len(names)) for g, names in drive_groups(robot).items()}
         self.brakes = self._new_brakes()
         self.controller = self._new_controller(np.zeros(3))
         self.legs: Array | None = None  # where the legs are to go [rad]
@@ -256,7 +255,7 @@ class SwerveRosAdapter(BaseAdapter):
 
     def groups(self, command: SwerveCommand) -> Groups:
         """A command by groups."""
-        return {g: getattr(command, g) for g in GROUPS}
+        return {g: getattr(command, g) for g in self._rest}
 
     # ------------------------------------------------------------------ states
     def measurement(

@@ -9,7 +9,7 @@ from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import upright
 from wbmpc.ros2.plants import Reading, RosPlant
-from wbmpc.ros2.settings import GROUPS
+from wbmpc.ros2.settings import drive_groups
 from wbmpc.types import Truth
 
 Array = np.ndarray
@@ -20,7 +20,7 @@ class SwerveRosPlant(RosPlant):
 
     def __init__(self, robot: RobotModel, plant: SwervePlant) -> None:
         super().__init__(robot, plant)
-        self._sizes = {g: len(robot.input.groups.get("leg" if g == "brake" else g, ())) for g in GROUPS}
+        self._sizes = {"brake": 0} | {g: len(names) for g, names in drive_groups(robot).items()}
 
     def rest(self) -> dict[str, Array]:
         """Everything at rest, brakes closed."""

@@ -8,17 +8,17 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from wbmpc.bases.ball.defaults import RezeroCost
+from wbmpc.bases.ball.perturbation import BallPerturbation, SeriesElasticDrives
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.configuration import OnlyWith, Rules, unused
 from wbmpc.settings import Positive, Settings, Weight
-from wbmpc.simulation.perturbation import Perturbation, SeriesElasticDrives
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
 #: Shorter steps [m] cannot be distinguished from the noise.
 MIN_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
-ELASTIC = Perturbation(drives=SeriesElasticDrives(), actuator_time_constant=0.0)
+ELASTIC = BallPerturbation(drives=SeriesElasticDrives(), actuator_time_constant=0.0)
 
 
 _Step = Annotated[float, Field(ge=-1, le=1)]
@@ -41,7 +41,7 @@ class RezeroFrequencySettings(RezeroSettings):
     """``step`` [m]: of the end effector (3), and back; ``settle_time`` [s]: before it; ``hold_time`` [s]: time for which each step is
     held; ``filters`` of the shaped variant; ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
-    plant: Perturbation = ELASTIC
+    plant: BallPerturbation = ELASTIC
     cost: RezeroCost = STEPS_AND_PUSHES
     actuator_time_constant: float = Field(0.006, ge=0, le=0.5)
     filters: FilterSettings = FilterSettings()

@@ -63,14 +63,14 @@ def largest(passes: Callable[[float], bool], resolution: float) -> float:
 def run(name: str, settings: _Limit, seed: int, progress: Progress | None = None) -> RunResult:
     """All pushes of a bisection."""
     tried: list[Outcome] = []
-    most = np.log2(MAXIMUM / settings.resolution) + 2.0
+    maximum = np.log2(MAXIMUM / settings.resolution) + 2.0
     force = lambda impulse: impulse / settings.push_duration
 
     def passes(impulse: float) -> bool:
         angle = float(np.deg2rad(settings.direction))
         tried.append(push_once(settings, seed, force(impulse), angle, settings.push_duration))
         if progress is not None:
-            progress(min(len(tried) / most, 1.0), f"{impulse:.0f} N s")
+            progress(min(len(tried) / maximum, 1.0), f"{impulse:.0f} N s")
         return bool(getattr(tried[-1], settings.criterion))
 
     impulse = largest(passes, settings.resolution)

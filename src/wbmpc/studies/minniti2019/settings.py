@@ -7,9 +7,11 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost
+from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.settings import BallControllerSettings
 from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
-from wbmpc.settings import ExperimentSettings, Robot
+from wbmpc.settings import Robot
+from wbmpc.simulation.settings import ExperimentSettings
 from wbmpc.studies.minniti2019.baselines import (
     ACCURATE_BASELINES,
     BaselineSettings,
@@ -31,6 +33,7 @@ class RezeroSettings(BallControllerSettings, ExperimentSettings):
     with its gains (``baseline``); ``tracking`` of the MPC's plans. ``only_with``: what the chosen controller and estimator read."""
 
     robot: Robot = "rezero"
+    plant: BallPerturbation = BallPerturbation()
     estimator: Literal["filter", "truth"] = "filter"
     payload: float = Field(0.0, ge=0, le=5.0)
     controller: Controller = "mpc"

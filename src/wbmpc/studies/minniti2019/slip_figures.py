@@ -50,8 +50,8 @@ class Press:
         late = since >= TOUCH
         if self.ending.reason or not late.any():
             return dict.fromkeys(names, np.inf)
-        wanted = self.force * np.clip(since / max(self.rise, 1e-9), 0.0, 1.0)
-        error = float(np.sqrt(np.mean((rows[late, 1] - wanted[late]) ** 2)) / self.force)
+        target = self.force * np.clip(since / max(self.rise, 1e-9), 0.0, 1.0)
+        error = float(np.sqrt(np.mean((rows[late, 1] - target[late]) ** 2)) / self.force)
         slid = float(np.linalg.norm(self.slides(), axis=1).max())
         lost = float(np.sum(rows[:, 1] <= 0.0) * (since[1] - since[0]))
         return dict(zip(names, (slid, error, float(rows[:, 1].max()), lost), strict=True))

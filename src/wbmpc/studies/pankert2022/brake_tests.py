@@ -11,15 +11,16 @@ from pydantic import Field, field_validator
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.perturbation import StuckBrake, SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import ControlSettings, Robot, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Progress, watched
-from wbmpc.simulation.perturbation import Perturbation, StuckBrake
-from wbmpc.stability import CONFIGURATIONS, assess, corners, leg_angles
+from wbmpc.stability import assess, leg_angles
 from wbmpc.studies.pankert2022.rolling import RollingController
 
 #: Push [N] and its length [s] (Fig. 4).
@@ -36,14 +37,14 @@ class SwerveBrakesSettings(Settings):
     """``push`` [N] sideways at the body; ``height`` [m] of the blocks under three wheels while the fourth hangs."""
 
     control: ControlSettings = ControlSettings()
-    plant: Perturbation = Perturbation()
+    plant: SwervePerturbation = SwervePerturbation()
     robot: Robot = "swerve-ur10"
     push: float = Field(PUSH, gt=0, le=500)
     height: float = Field(0.03, gt=0.005, le=0.2)
 
     @field_validator("plant")
     @classmethod
-    def _sound(cls, plant: Perturbation) -> Perturbation:
+    def _sound(cls, plant: SwervePerturbation) -> SwervePerturbation:
         if isinstance(plant.brake_fault, StuckBrake):
             raise ValueError(
                 f"brake_fault={plant.brake_fault.kind}: this experiment makes brakes fail itself, in its last two tests"

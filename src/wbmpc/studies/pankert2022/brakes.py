@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending, Progress, contacts_of
-from wbmpc.stability import CONFIGURATIONS
 from wbmpc.studies.pankert2022 import brake_tests
 from wbmpc.studies.pankert2022.brake_tests import Bench, Found, SwerveBrakesSettings
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS

@@ -11,13 +11,13 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.plant import reject_two_wheels
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Loop, Outcome, Part, Run, Scenario
 from wbmpc.result import Metric
 from wbmpc.simulation.lockstep import Progress, Timing
-from wbmpc.stability import CONFIGURATIONS
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import baseline_metrics, metrics, plots

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.plant import drive_speeds
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot, Series, no_comparison
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.stability import CONFIGURATIONS, corners
 from wbmpc.studies.pankert2022.drive_course import BODY, BUMP_RADIUS, BUMPS, CABLES, DOOR, DOOR_WIDTH, POST, clearance
 from wbmpc.studies.pankert2022.metrics import in_both_frames, rms
 from wbmpc.studies.storyboard import Ground, Snapshot, storyboard

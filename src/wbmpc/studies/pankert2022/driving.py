@@ -9,12 +9,13 @@ from pydantic import Field
 
 from wbmpc.bases.swerve.calibrator import SwerveCalibrator
 from wbmpc.bases.swerve.estimator import EstimatorSettings
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.configuration import OnlyWith
 from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import ExperimentSettings, LidarSettings
 from wbmpc.simulation.localization import Localization
+from wbmpc.simulation.settings import ExperimentSettings, LidarSettings
 from wbmpc.studies.pankert2022.reference_drive import calibrated, track_arm
 
 
@@ -26,6 +27,7 @@ class DrivingSettings(ExperimentSettings):
     bias is found (0: it is found on the way, and the pose is corrected late); ``actuator_time_constant`` [s]: that the controller
     assumes."""
 
+    plant: SwervePerturbation = SwervePerturbation()
     use_gyro: bool = True
     calibration: str = "drive"
     localization: Literal["none", "lidar"] = "none"

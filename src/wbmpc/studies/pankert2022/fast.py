@@ -19,7 +19,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.fast_courses import SCurve, Sideways, Slalom
 from wbmpc.tasks.loop import closed_loop
@@ -38,7 +38,7 @@ class SwerveFastSettings(TaskSettings):
     stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
-    plant: Perturbation = Perturbation(payload=10.0, wheel_radius_each=0.0)
+    plant: AnyPerturbation = AnyPerturbation(payload=10.0, wheel_radius_each=0.0)
     mpc: TaskMpcSettings = TaskMpcSettings(model="dynamic", horizon=2.0)
     stability: Stability = WheelLoadSettings(min_load=0.1, payload=10.0)
     calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "drive"

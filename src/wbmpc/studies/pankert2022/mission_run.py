@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
+from wbmpc.bases.swerve.configurations import corners
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
@@ -22,7 +23,6 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress, Timing
-from wbmpc.stability import corners
 from wbmpc.studies.pankert2022.drive_missions import Knock, MissionSettings
 from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
 from wbmpc.studies.pankert2022.standing import stand_still

@@ -20,17 +20,18 @@ from wbmpc.bases.swerve.calibration import calibrate
 from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.perturbation import SoundBrakes, SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import RunAborted
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
-from wbmpc.settings import ControlSettings, LidarSettings, Robot, Settings
+from wbmpc.settings import ControlSettings, Robot, Settings
 from wbmpc.simulation import tracked_arm
 from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import Progress, preparation, watched
-from wbmpc.simulation.perturbation import Perturbation, SoundBrakes
+from wbmpc.simulation.settings import LidarSettings
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
@@ -53,7 +54,7 @@ class SwerveCalibrateSettings(Settings):
     lidar: LidarSettings = LidarSettings()
     tracked_poses: int = Field(0, ge=0, le=1000)
     control: ControlSettings = ControlSettings()
-    plant: Perturbation = Perturbation()
+    plant: SwervePerturbation = SwervePerturbation()
 
 
 #: Directions of the straight strokes, in the body.
@@ -188,7 +189,7 @@ def drive(
     return controller, plant, ""
 
 
-def track_arm(robot: RobotModel, settings: Perturbation, poses: int, seed: int, log: Log) -> None:
+def track_arm(robot: RobotModel, settings: SwervePerturbation, poses: int, seed: int, log: Log) -> None:
     """Record ``poses`` of the arm at rest: its encoders, and where a tracker sees its end effector in axes of the base."""
     plant = SwervePlant(robot.description, robot.state.split(robot.home), settings, seed, settle=0.0)
     read, seen = tracked_arm.track_arm(robot, plant, poses, seed)
@@ -205,7 +206,9 @@ def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> 
     return calibrate(robot.base.geometry, record_of(log))
 
 
-def calibrated(robot: RobotModel, how: str, plant: Perturbation, lidar: LidarSettings, seed: int) -> WheelCalibration:
+def calibrated(
+    robot: RobotModel, how: str, plant: SwervePerturbation, lidar: LidarSettings, seed: int
+) -> WheelCalibration:
     """What an experiment knows of its wheels: ``how`` is "none", "drive" (a reference drive of this plant first), or a file."""
     geometry = robot.base.geometry
     if how == "none":

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
@@ -12,8 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.result import Drawing, Metric
 from wbmpc.settings import Robot, Settings
 from wbmpc.simulation.lockstep import Progress, watched
-from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import CONFIGURATIONS, Assessment, assess, draw
+from wbmpc.stability import Assessment, assess, draw
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 
 NAME = "swerve-stability"
@@ -57,7 +58,7 @@ def build(settings: SwerveStabilitySettings, seed: int) -> Scenario:
 
 def _stand(robot: RobotModel, assessment: Assessment, progress: Progress | None) -> Outcome:
     """For who watches: the robot at rest in a configuration."""
-    plant = SwervePlant(robot.description, robot.state.split(assessment.x), Perturbation.none())
+    plant = SwervePlant(robot.description, robot.state.split(assessment.x), SwervePerturbation.none())
     stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
     with watched(plant, 1.0 / RATE, STANDING, progress) as tick:
         for k in range(round(STANDING * RATE)):

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.swerve.configurations import corners
 from wbmpc.model.robot import RobotModel
-from wbmpc.stability import StanceOf, Triangle, assess, corners
+from wbmpc.stability import StanceOf, Triangle, assess
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping
 from wbmpc.studies.pankert2022.rocking import rockings
 from wbmpc.studies.pankert2022.support_switches import Switch, resting_triangles, support_switches, upright

@@ -40,7 +40,7 @@ RISE, STAND, RAMP, RETREAT, BACK = 1.0, 0.5, 1.0, 1.5, 0.06
 #: Of the wall's line: standard deviation of a place [m], and of place [m] and slope at first; how fast they may change [m/√s, 1/√s].
 PLACE_NOISE, FIRST, CHANGE = 2e-4, (0.02, 0.02), (1e-3, 1e-3)
 #: Gain [1/s] of the force's integral, and the most that it adds [N].
-INTEGRAL, MOST = 0.5, 4.0
+INTEGRAL, MAX_EXTRA = 0.5, 4.0
 #: Knots [s] of a reference over the horizon: fine at first.
 FINE, COARSE, NEAR = 0.02, 0.1, 0.6
 
@@ -155,7 +155,7 @@ class Wipe:
             h = t - self._updated
             self.line.update(h, place[0], surface)
             error = float(self.force(np.array([t]))[0]) - push
-            self.extra = float(np.clip(self.extra + INTEGRAL * h * error, -MOST, MOST))
+            self.extra = float(np.clip(self.extra + INTEGRAL * h * error, -MAX_EXTRA, MAX_EXTRA))
             if push > TOUCHES:
                 self.coefficient = float(np.linalg.norm(pressed - push * normal) / push)
         self._updated = t

@@ -13,7 +13,9 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
@@ -21,8 +23,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.settings import Robot, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Ending, Progress, watched
-from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.stability import CONFIGURATIONS, assess, corners
+from wbmpc.stability import assess
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.support_prediction import RAISE, REST, Case
 from wbmpc.studies.pankert2022.wobble_figures import RATE, TURN, Predictions, metrics, plots
@@ -51,7 +52,7 @@ class SwerveWobbleSettings(Settings):
     ``calibration``: the turns that come first, as (configuration, wheel on the block); ``calibration_turn`` [s]: duration of each of these turns.
     """
 
-    plant: Perturbation = Perturbation()
+    plant: SwervePerturbation = SwervePerturbation()
     robot: Robot = "swerve-ur10"
     heights: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(HEIGHTS, min_length=1, max_length=100)
     turn: float = Field(TURN, ge=20, le=600)

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot, Series
-from wbmpc.stability import CONFIGURATIONS, StanceOf, assess, corners, draw
+from wbmpc.stability import StanceOf, assess, draw
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping, estimate_mass_offset
 from wbmpc.studies.pankert2022.support_prediction import AWAY, UNLOADED, Case, Support, predict, tippings
 from wbmpc.studies.pankert2022.support_switches import Switch
