@@ -100,5 +100,5 @@ class LevelArm:
         moved = rows.T @ np.linalg.solve(rows @ rows.T + DAMPING**2 * np.eye(6), target)
         found: Array = x.copy()
         found[self._arm] += moved
-        found[:2] += (wanted - rows @ moved)[:2]
+        found[:2] += (target - rows @ moved)[:2]
         return found
