@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.robots import load_spec, xacro_file
 
 INERTIA = '<inertial><origin xyz="0 0 0.1"/><mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
@@ -117,6 +119,23 @@ def test_meshes_of_a_package_are_shown(folder: str, tmp_path: Path) -> None:
     assert load_spec(robot.description).compile().nmesh == 0
     shown = load_spec(robot.description, meshes=True).compile()
     assert shown.nmesh == 1 and shown.body("slide").mass[0] == 2.0
+
+
+def test_what_collides_is_the_mesh_for_it_and_what_is_drawn_is_the_other(tmp_path: Path) -> None:
+    """Truth: the sizes of the two boxes. They were both what is drawn."""
+    for name, length in (("looks", 0.4), ("solid", 0.1)):
+        trimesh.creation.box((0.1, 0.1, length)).export(tmp_path / f"{name}.stl")
+    kinds = {"visual": "looks", "collision": "solid"}
+    mesh = "".join(f'<{k}><geometry><mesh filename="{n}.stl"/></geometry></{k}>' for k, n in kinds.items())
+    robot = load_robot(robot_file(tmp_path, "a.urdf", urdf(mesh=mesh)))
+    model = load_spec(robot.description, meshes=True).compile()
+    of = lambda geoms: {
+        model.mesh(model.geom_dataid[g]).name for g in np.flatnonzero(geoms) if model.geom_dataid[g] >= 0
+    }
+    assert of(model.geom_conaffinity != 0) == {"solid"} and of(model.geom_group <= 2) == {"looks"}
+    (solid,) = [s.solid for s in robot_geometry(robot).shapes if s.frame == "slide"]
+    up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]) @ solid.rotation
+    assert np.ptp((solid.support(up) @ solid.rotation.T)[:, 2]) == pytest.approx(0.1)
 
 
 MACROS = urdf(

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 #: Meshes that MuJoCo reads.
 MESHES = (".stl", ".obj", ".msh")
+#: Group of shapes that are not drawn.
+HIDDEN = 3
 #: Ends of a joint's range [rad, degrees or m] that are none.
 _WIDEST_RANGE = 1e6
 #: Elements of a URDF that MuJoCo reads.
@@ -165,8 +167,7 @@ def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
         shown = not (collision and link.findall("collision"))
         for kind in ("visual", "collision"):
             for element in link.findall(kind):
-                with_meshes = collision or (meshes and kind == "visual")
-                if not (_kept(element, file, with_meshes) and (shown or kind == "collision")):
+                if not (_kept(element, file, whole) and (shown or kind == "collision")):
                     link.remove(element)
     for joint in root.findall("joint"):
         limit = joint.find("limit")
@@ -181,8 +182,12 @@ def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
     try_model(file.path, (Path(m.get("filename", "")) for m in root.iter("mesh")), text)
     spec = mujoco.MjSpec.from_string(text)
     _ = spec.worldbody.joints  # MuJoCo looks for equal names of a URDF when elements of a body are read
-    for geom in spec.geoms:
-        geom.mass = 0.0
+    for body in spec.bodies:
+        looks = any(geom.contype == 0 for geom in body.geoms)
+        for geom in body.geoms:
+            geom.mass = 0.0
+            if looks and geom.contype:  # it collides, and is not drawn over what the body looks like
+                geom.group = HIDDEN
     return spec
 
 
