@@ -61,7 +61,7 @@ def attributes(cls: type) -> Iterator[str]:
 def methods(cls: type) -> Iterator[tuple[str, str | None]]:
     """Public methods and properties with their docstrings."""
     for c in of_this_package(cls):
-        for name, member in vars(c).items():
+        for name, member in list(vars(c).items()):
             function = (
                 getattr(member, "fget", None) or getattr(member, "__func__", None) or getattr(member, "func", member)
             )
@@ -101,7 +101,7 @@ def quantities(cls: type) -> Iterator[tuple[str, str, str]]:
         for name, annotation in inspect.get_annotations(c).items():
             if not name.startswith("_"):
                 yield name, str(annotation), text
-        for name, member in vars(c).items():
+        for name, member in list(vars(c).items()):
             function = getattr(member, "fget", None) or getattr(member, "__func__", member)
             if not inspect.isfunction(function) or (name.startswith("_") and name != "__init__"):
                 continue

@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 PACKAGES = (
-    "errors", "interrupts", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file", "yaml_file",
-    "configuration", "settings_table", "units", "plots", "result", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
+    "errors", "interrupts", "mujoco_start", "checks", "logs", "lie", "output_file", "log", "trajectory", "types", "input_file", "json_file",
+    "yaml_file", "configuration", "settings_table", "units", "plots", "result", "report", "run_files", "run_index", "bases", "robots", "model", "stability",
     "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control", "runtime", "estimation", "settings", "simulation",
     "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare", "reproduce", "study", "bases/TYPE", "tasks",
     "benchmark", "cli", "studies", "__main__",
@@ -53,7 +53,7 @@ ONLY_IN = {
     "cyclonedds": {"ros2"},
     "rosbags": {"ros2"},
     "rclpy": {"ros2"},
-    "mujoco": {"bases", "robots", "model", "obstacles", "simulation", "bases/TYPE", "studies"},
+    "mujoco": {"mujoco_start", "bases", "robots", "model", "obstacles", "simulation", "bases/TYPE", "studies"},
 }
 MODULES = sorted(p for p in SOURCE.rglob("*.py") if p != SOURCE / "__init__.py")
 

@@ -175,7 +175,10 @@ if not TYPE_CHECKING:  # a type checker knows the names above, and no other
 
             raise AttributeError(f"module 'wbmpc' has no attribute '{name}'{did_you_mean(name, _MODULES)}")
         module = import_module(_MODULES[name])
-        return module if _MODULES[name].endswith(f".{name}") else getattr(module, name)
+        found = module if _MODULES[name].endswith(f".{name}") else getattr(module, name)
+        if isinstance(found, type) and hasattr(found, "model_rebuild"):
+            found.model_rebuild()  # settings get their signature, which help() shows, when they are used
+        return found
 
 
 def __dir__() -> list[str]:

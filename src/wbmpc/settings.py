@@ -45,7 +45,7 @@ class Settings(BaseModel):
     """Base of all settings: unknown keys are errors, and so are keys that nothing reads (:class:`wbmpc.configuration.OnlyWith`); values are
     frozen. Of those that have one, ``robot``: name of a built-in robot, or a robot file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod

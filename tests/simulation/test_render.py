@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from itertools import pairwise
 from typing import Literal
 
@@ -129,3 +132,16 @@ def test_lines_keep_their_way_with_few_points() -> None:
         and simplified(still[:0], 0.01).shape == (0, 3)
         and len(simplified(still[:1], 0.01)) == 1
     )
+
+
+def test_without_a_screen_mujoco_comes_without_what_opens_windows() -> None:
+    """Truth: the modules of a new process, and its environment."""
+    code = "import os, sys; from wbmpc.model.robot import load_robot; load_robot('panda'); print('glfw' in sys.modules, 'MUJOCO_GL' in os.environ)"
+    clean = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")}
+    for more, expected in (
+        ({}, "False False"),
+        ({"DISPLAY": ":9"}, "True False"),
+        ({"MUJOCO_GL": "egl"}, "False True"),
+    ):
+        done = subprocess.run([sys.executable, "-c", code], env=clean | more, capture_output=True, text=True)
+        assert done.stdout.strip() == expected, done.stderr

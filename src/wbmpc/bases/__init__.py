@@ -13,6 +13,7 @@ from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points
 
+import wbmpc.mujoco_start  # noqa: F401  (before others import MuJoCo)
 from wbmpc.bases import base
 from wbmpc.bases.base import PARTS, BaseType
 from wbmpc.errors import InputError, unknown_name

@@ -54,7 +54,7 @@ Calibration = Mapping[str, Array]
 class Section(BaseModel):
     """A mapping of a robot file: its keys are the fields, unknown keys are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class InertialDescription(Section):

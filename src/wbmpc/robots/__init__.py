@@ -1,5 +1,6 @@
 """Robot descriptions: YAML beside a URDF or MJCF. Built-in robots are data in ``robots/data``."""
 
+import wbmpc.mujoco_start  # noqa: F401  (before others import MuJoCo)
 from wbmpc.robots.description import (
     ArmDescription,
     LimitsDescription,

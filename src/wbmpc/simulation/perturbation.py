@@ -22,7 +22,7 @@ _Friction = Annotated[float, Field(ge=0, le=100)]
 class Choice(BaseModel):
     """One of several models of a setting, by its ``kind``."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class Perturbation(BaseModel):
@@ -40,7 +40,7 @@ class Perturbation(BaseModel):
     0: exact.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     #: What a plant like the model (:meth:`none`) has in the place of 0.
     LEFT: ClassVar[Mapping[str, float]] = {"actuator_time_constant": 0.020, "friction": 0.8}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import WbmpcError
+from wbmpc.mujoco_start import OPENGL, without_screen
 from wbmpc.simulation.world import SUN
 
 Image = NDArray[np.uint8]
@@ -179,9 +179,6 @@ def simplified(points: NDArray[np.float64], tolerance: float) -> NDArray[np.floa
 
 def _use_egl_without_screen() -> None:
     """MuJoCo chooses its OpenGL back end when it is imported, by default one that needs a screen."""
-    if "MUJOCO_GL" in os.environ or platform.system() != "Linux":
-        return
-    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        return
-    os.environ["MUJOCO_GL"] = "egl"
-    importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
+    if OPENGL not in os.environ and without_screen():
+        os.environ[OPENGL] = "egl"
+        importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
