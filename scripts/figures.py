@@ -76,9 +76,12 @@ def goals(cells: list[Cell], commit: str) -> str:
     text = ""
     for cell in cells:
         plain = cell["condition"] in ("", "protocol")
-        rows = []
-        for k, (metric, found) in enumerate(cell["metrics"].items()):
-            said = PAPER.get(cell["experiment"], "–") if k == 0 and plain else "–"
+        rows, judged = (
+            [],
+            [m for m, found in cell["metrics"].items() if found["goal"] is not None or found["least"] is not None],
+        )
+        for metric, found in cell["metrics"].items():
+            said = PAPER.get(cell["experiment"], "–") if metric in judged[:1] and plain else "–"
             paper = said if found["paper"] is None else texts(found, found["paper"])[0]
             reached = {True: "yes", False: "**no**", None: ""}[found["met"]]
             rows.append([f"`{metric}`", limits(found), paper, *figures(found), reached])
