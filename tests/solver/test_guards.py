@@ -327,7 +327,7 @@ def test_a_handler_that_changes_the_memory_of_a_solve_is_an_error(
 ) -> None:
     """Its guess was returned as the converged solution. Truth: a solver without a handler, twice, as slacks are kept."""
     problem = cartpole(10)
-    one, plain = (Solver(problem.ocp, SQP(backend=backend)) for _ in range(2))  # type: ignore[arg-type]
+    one, plain = (Solver(problem.ocp, SQP(backend=backend, iterations=2)) for _ in range(2))  # type: ignore[arg-type]
     given = {"warm_start": (np.ones(4),), "use": (np.ones((11, 4)), np.ones((10, 1))), "reset": ()}[name]
     came: list[int] = []
 
