@@ -90,6 +90,8 @@ class RailBase:
         self.parameters: dict[str, list[str]] = {}
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
+        self.rolling_groups: tuple[str, ...] = ()
+        self.steering_groups: tuple[str, ...] = ()
         self.unit_quaternions: tuple[int, ...] = ()
         self.footprint: Footprint | None = None
         self.twist = np.eye(3)

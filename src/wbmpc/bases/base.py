@@ -193,6 +193,8 @@ class Base(Protocol):
     quaternion (7). Optional ``state_units`` and ``input_units``: units by group, one text or one for each name;
     without them none are shown. ``unit_quaternions``: where quaternions begin in x. ``mode_bounds``: lowest and highest
     value of groups of ``mode``. ``brakes``: groups of ``mode`` that are brakes (1 open, 0 closed), and the input group each holds.
+    ``rolling_groups``: groups of the input that are speeds of wheels, which roll as the base moves; ``steering_groups``: those of joints that
+    steer wheels. Both are empty where the input has none.
     ``ground`` [m]: height of the floor in the model's world (negative where the world's origin is
     above it). ``body_height`` [m]: of the body's frame above the floor at home. ``balances``: the robot falls when it is stopped.
     ``wheels``: number of wheels with rows in :meth:`rolling`; 0 if no constraint makes them roll. ``footprint``: None where the
@@ -210,6 +212,8 @@ class Base(Protocol):
     mode_bounds: dict[str, tuple[float, float]]
     unit_quaternions: tuple[int, ...]
     brakes: dict[str, str]
+    rolling_groups: tuple[str, ...]
+    steering_groups: tuple[str, ...]
     ground: float
     body_height: float
     balances: bool

@@ -95,6 +95,8 @@ class PlanarBase:
         self.mode: dict[str, list[str]] = {}
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
+        self.rolling_groups: tuple[str, ...] = ()
+        self.steering_groups: tuple[str, ...] = ("steer",) if "steer" in joints else ()
         self.unit_quaternions: tuple[int, ...] = ()
         self.footprint: Footprint | None = standing_on(
             PointFootprint(wheels.position, section(description).wheel_joints(), True)

@@ -218,6 +218,8 @@ class SwerveBase:
         self.mode: dict[str, list[str]] = {"brake": hinges} if hinges else {}
         self.mode_bounds = {group: (0.0, 1.0) for group in self.mode}
         self.brakes = dict.fromkeys(self.mode, "leg")
+        self.rolling_groups: tuple[str, ...] = ("wheel",)
+        self.steering_groups: tuple[str, ...] = ("steer",)
         self.footprint: Footprint | None = ModuleFootprint(self)
         self.twist = np.eye(3)
         self.wheels = self.geometry.modules
