@@ -20,7 +20,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.base import Footprint, SteeredFeet
     from wbmpc.model.robot import RobotModel
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
@@ -41,6 +41,7 @@ class PointFootprint:
     :class:`wbmpc.bases.base.Footprint`."""
 
     modules: ModuleGeometry | None = None
+    steered: SteeredFeet | None = None
 
     def __init__(self, points: Array, names: Sequence[str], even: bool) -> None:
         self._points, self.size, self.names, self.even = points, len(points), list(names), even
