@@ -142,6 +142,10 @@ class BaseDescription(Section):
         """Joints with drives whose angles are no part of the model's state."""
         return []
 
+    def steering_joints(self) -> list[str]:
+        """Joints that steer wheels; their drives may be faster than what plans use (key ``limits.actuator_velocity``)."""
+        return []
+
     def parts(self) -> dict[str, str]:
         """Bodies beside ``body``, by the key that names them, whose joints are moved by the base's own equations. They turn about
         the origin of ``body``."""

@@ -158,7 +158,8 @@ def build(settings: TipOverSettings, seed: int) -> Scenario:
     def metrics(log: Log) -> dict[str, Metric]:
         return {**watch.metrics(), **stopping(log, ordered)}
 
-    wheels = robot.description.base.wheel_joints() or list(robot.state.groups.get("wheel", ()))
+    rolling = [n for group in robot.base.rolling_groups for n in robot.input.groups[group]]
+    wheels = robot.description.base.wheel_joints() or rolling
     return closed_loop(
         robot, mpc, ordered + settings.after, seed, settings, since=start, tick=tick, metrics=metrics,
         plots=lambda log: watch.plots(wheels), truth=watch.see,
