@@ -29,7 +29,7 @@ from wbmpc.simulation.lockstep import Ending, Running, Timing
 from wbmpc.simulation.perturbation import Perturbation, perturbation_model
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.footprint import Footprint
     from wbmpc.robots import RobotDescription
 
 #: Base types with a controller on a ROS 2 bus.

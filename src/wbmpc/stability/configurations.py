@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases import base_type
-from wbmpc.bases.base import Footprint
+from wbmpc.bases.footprint import Footprint
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel

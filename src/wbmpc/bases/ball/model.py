@@ -26,7 +26,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.units import force_unit, rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.footprint import Footprint
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 

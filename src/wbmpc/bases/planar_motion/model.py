@@ -20,7 +20,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint, SteeredFeet
+    from wbmpc.bases.footprint import Footprint, SteeredFeet
     from wbmpc.model.robot import RobotModel
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
@@ -38,7 +38,7 @@ FLAT = 1e-3
 
 class PointFootprint:
     """Points (n, 2) [m] that do not move in the axes of the body: wheels, casters. ``even``: see
-    :class:`wbmpc.bases.base.Footprint`."""
+    :class:`wbmpc.bases.footprint.Footprint`."""
 
     modules: ModuleGeometry | None = None
     steered: SteeredFeet | None = None

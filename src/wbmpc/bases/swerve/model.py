@@ -27,7 +27,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint, SteeredFeet
+    from wbmpc.bases.footprint import Footprint, SteeredFeet
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 

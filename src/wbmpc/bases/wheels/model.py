@@ -23,7 +23,7 @@ from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import SteeredFeet
+    from wbmpc.bases.footprint import SteeredFeet
     from wbmpc.model.robot import RobotModel
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
