@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from pathlib import Path
 
@@ -25,6 +26,22 @@ PACKAGES = (
     "reproduce.py", "result.py", "run_files.py", "run_index.py", "model", "obstacles", "ocp", "kernel", "solver", "mpc", "runtime",
     "simulation", "estimation", "control", "stability", "recording", "view", "ros2", "cli", "robots", "benchmark", "types.py", "compare.py",
 )  # fmt: skip
+#: Groups of joints that only some bases have, as a literal of its own or before the name of a joint: "steer", "steer.LF".
+GROUPS = re.compile(r"(leg|steer|wheel)(\.|$)")
+#: What else is called so in generic modules, and the literals there.
+OTHERS = {
+    "tasks/reference_drive.py": ("wheel", "steer", "leg"),  # channels of a log for BaseType.calibrate
+    "estimation/strokes.py": ("wheel", "wheel.time", "steer"),  # the same channels
+    "estimation/wheel_odometry.py": ("wheel", "steer", "leg"),  # arguments, in messages
+    "ros2/settings.py": ("wheel", "steer", "leg"),  # groups of joints on the bus, whatever the model's are
+    "ros2/base_driver.py": ("wheel",),  # the same: what a base's own driver takes
+    "ros2/sim.py": ("wheel",),  # the same
+    "recording/quantities.py": ("wheel",),  # joints whose torques are recorded, before the arm's
+    "simulation/wheeled.py": (
+        "wheel",
+    ),  # what a plant on wheels calls its wheels: part of its contract with subclasses
+    "view/actuator_load.py": ("wheel", "steer", "leg"),  # captions of a base's groups
+}
 #: The robot with which an experiment of any robot starts, where none is given.
 DEFAULT_ROBOT = re.compile(r'robot: (?:str|Robot) = "[a-z0-9-]+"')
 
@@ -43,6 +60,33 @@ def named(module: str) -> list[str]:
         for i, line in enumerate(lines, start=1)
         if NAMES.search(DEFAULT_ROBOT.sub("", line)) or ROBOTS.search(WORDS.sub("", DEFAULT_ROBOT.sub("", line)))
     ]
+
+
+def group_literals(source: str) -> list[tuple[int, str]]:
+    """Lines and texts of the literals that are groups of a base."""
+    found = [n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    return [(n.lineno, n.value) for n in found if GROUPS.match(n.value)]
+
+
+def test_generic_modules_know_no_groups_of_a_base() -> None:
+    """They ask :class:`wbmpc.bases.base.Base` and its footprint which groups roll, steer and move legs."""
+    found = {m: group_literals((SOURCE / m).read_text()) for m in modules()}
+    odd = [f"{m}:{i}: '{text}'" for m, own in found.items() for i, text in own if text not in OTHERS.get(m, ())]
+    assert not odd, "\n".join(odd)
+    unused = {m: set(texts) - {text for _, text in found[m]} for m, texts in OTHERS.items()}
+    assert not any(unused.values()), unused
+
+
+@pytest.mark.parametrize(
+    "line", ['x[robot.state["leg"]]', 'name.startswith("steer.")', 'if "wheel" in groups: pass', 'f"leg.{name}"']
+)
+def test_a_group_is_found(line: str) -> None:
+    assert group_literals(line)
+
+
+@pytest.mark.parametrize("line", ['"""wheels roll"""', '"legs"', '"steering"', '"wheel speeds"', "steer = 1"])
+def test_words_that_are_no_group_are_not(line: str) -> None:
+    assert not group_literals(line)
 
 
 def test_generic_modules_name_no_base_type() -> None:

@@ -29,7 +29,7 @@ from wbmpc.simulation.lockstep import Ending, Running, Timing
 from wbmpc.simulation.perturbation import Perturbation, perturbation_model
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.footprint import Footprint
     from wbmpc.robots import RobotDescription
 
 #: Base types with a controller on a ROS 2 bus.
@@ -90,6 +90,8 @@ class RailBase:
         self.parameters: dict[str, list[str]] = {}
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
+        self.rolling_groups: tuple[str, ...] = ()
+        self.steering_groups: tuple[str, ...] = ()
         self.unit_quaternions: tuple[int, ...] = ()
         self.footprint: Footprint | None = None
         self.twist = np.eye(3)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
 from wbmpc.bases.ball.model_steps import ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
@@ -35,7 +35,7 @@ def mpc() -> MPC:
 
 def parts(mpc: MPC, mass: float = 0.0) -> tuple[DisturbanceObserver, PayloadEstimator]:
     numeric = ROBOT.base.numeric
-    observer = DisturbanceObserver(mpc.solver.simulate, numeric.mass_matrix, ROBOT.base.nq)
+    observer = DisturbanceObserver(mpc.solver.simulate, numeric.mass_matrix, ROBOT.base.nq, np.array(GATE))
     return observer, PayloadEstimator(numeric.tool_weight, mass=mass)
 
 

@@ -258,11 +258,11 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: BallEstimator(ROBOT, HOME, balance=NAN), "'balance' must be finite"),
         (lambda: BallEstimator(ROBOT, HOME, balance=0.0), "'balance' must be positive"),
         (
-            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, calm=(0, 0)),
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, np.ones(5), calm=(0, 0)),
             "'calm' needs positive",
         ),
         (
-            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, calm=(1,)),
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, np.ones(5), calm=(1,)),
             "'calm' needs 2",
         ),  # type: ignore[arg-type]
         (
@@ -270,7 +270,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
             "'gate' needs",
         ),
         (
-            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, hold=-1.0),
+            lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, np.ones(5), hold=-1.0),
             "'hold' must not be negative",
         ),
         (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, rate=-1.0), "'rate' must not be negative"),

@@ -7,7 +7,7 @@ import pytest
 
 from wbmpc.estimation.disturbance import DisturbanceObserver
 
-N = 7
+N, GATE = 7, np.array([0.06, 0.06, 0.25, 0.12, 0.12])
 
 
 def model(x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
@@ -21,7 +21,7 @@ def test_both_back_ends_say_the_same(seed: int) -> None:
     root = rng.normal(size=(N, N))
     mass = root @ root.T
     both = [
-        DisturbanceObserver(model, lambda q: mass, N, hold=0.05, longest=0.1, settled=0.1, backend=b)
+        DisturbanceObserver(model, lambda q: mass, N, GATE, hold=0.05, longest=0.1, settled=0.1, backend=b)
         for b in ("compiled", "interpreted")
     ]
     x, t, seen = rng.normal(size=2 * N), 0.0, set()

@@ -10,6 +10,7 @@ from wbmpc.estimation.disturbance import DisturbanceObserver
 N, H = 5, 0.0025
 MASS = np.diag([20.0, 22.0, 2.0, 3.0, 3.0]) + 0.1
 CONSTANT = np.array([4.0, -6.0, 0.2, 0.3, -0.3])
+GATE = np.array([0.06, 0.06, 0.25, 0.12, 0.12])
 
 
 def step(x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
@@ -24,7 +25,7 @@ def observed(seconds: float, force, start: float = -2.0, **settings) -> np.ndarr
 
     As in the loop, the observer's model has the present estimate as a parameter.
     """
-    given = {"calm": (np.inf, np.inf), **settings}
+    given = {"gate": GATE, "calm": (np.inf, np.inf), **settings}
     observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, **given)
     x, out = np.zeros(2 * N), []
     for k in range(round(start / H), 0):
@@ -90,7 +91,9 @@ def test_an_unknown_inertia_is_no_constant_force() -> None:
     accelerating = lambda t: np.array([-2.0 * 2.0 * np.sign(np.sin(3.0 * t)), 0.0, 0.0, 0.0, 0.0])
 
     def learned(calm: tuple[float, float]) -> float:
-        observer = DisturbanceObserver(lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, calm=calm)
+        observer = DisturbanceObserver(
+            lambda x, u, h: step(x, u + observer.force, h), lambda q: MASS, N, GATE, calm=calm
+        )
         x, out = np.zeros(2 * N), []
         observer.update(-2.0, x, np.zeros(N), H)  # it was started before
         for k in range(1200):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from wbmpc.default_problem import ACCELERATION_SHARE, default_mpc, default_probl
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
+from wbmpc.ocp.symbols import Symbols
 from wbmpc.robots import load_description
 from wbmpc.settings import MpcSettings
 from wbmpc.types import Observation
@@ -127,3 +129,19 @@ def test_plans_accelerate_wheels_no_faster_than_the_robot_file_says(name: str) -
         policy = mpc.update(wb.Observation(k * mpc.period, x))
         changes.append(np.abs(model.base.rates @ (policy.u[0] - before)[part]) / mpc.period)
     assert 0.5 < (np.array(changes) / model.base.wheel_acceleration).max() < 0.91
+
+
+def test_joints_that_steer_wheels_need_not_stop_before_their_range_ends() -> None:
+    """With no time since the last command only the range and the end of the joint's own range count: the top speed at the end of the range is
+    0 of the range inside for steering (its bound is its top speed), and for the arm as much outside as the speed is above 0, by hand."""
+    model = robot("swerve-ur10")
+    rows = wb.residuals.AccelerationLimit(model, ["steer", "arm"])
+    x, u, p = ca.SX.sym("x", model.state.size), ca.SX.sym("u", model.input.size), ca.SX.sym("p", rows.reference)
+    found = ca.Function("rows", [x, u, p], [rows(Symbols(x, u, ca.SX(0, 1), ca.SX(model.mode.size, 1), p, x, u))])
+    limits, ends = model.limits, model.home.copy()
+    for group in ("steer", "arm"):
+        ends[model.state[group]] = limits.state_upper[model.state[group]]
+    assert np.isfinite(ends).all()
+    upper = np.array(found(ends, limits.input_upper, np.zeros(rows.reference))).ravel()[: len(rows.inputs)]
+    low, high = (v[model.input["arm"]] for v in (limits.input_lower, limits.input_upper))
+    np.testing.assert_allclose(upper, [0.0] * 4 + (-high / (high - low)).tolist(), atol=1e-12)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private
 
+from wbmpc.bases.ball.ros import fall
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2 import health as module
 from wbmpc.ros2.health import Health
@@ -27,7 +28,7 @@ def controller(**changes: Any) -> Any:
         plans=SimpleNamespace(current=object()), own={"ticks": 0, "skipped": 0}, kept="", stopped=False,
         punctuality=SimpleNamespace(late=0), state="running",
     )  # fmt: skip
-    adapter = SimpleNamespace(must_keep_running=False, faults=[], snapshot=lambda: None)
+    adapter = SimpleNamespace(must_keep_running=False, faults=[], snapshot=lambda: None, fall=fall)
     given = {"clock": WallClock(), "runner": runner, "running": True, "period": 0.0025, "adapter": adapter}
     return SimpleNamespace(**{**given, "robot_io": SimpleNamespace(fault=""), **changes})
 

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     import mujoco
 
     from wbmpc.bases.calibrator import Calibrator
+    from wbmpc.bases.footprint import Footprint
     from wbmpc.control.protocols import Controller, RobotController
     from wbmpc.model.joints import Limits
     from wbmpc.model.kinematics import Chain, FramePose
     from wbmpc.model.robot import RobotModel
     from wbmpc.model.tree import Tree
-    from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.ocp import Constraint, Mode
@@ -142,6 +142,10 @@ class BaseDescription(Section):
         """Joints with drives whose angles are no part of the model's state."""
         return []
 
+    def steering_joints(self) -> list[str]:
+        """Joints that steer wheels; their drives may be faster than what plans use (key ``limits.actuator_velocity``)."""
+        return []
+
     def parts(self) -> dict[str, str]:
         """Bodies beside ``body``, by the key that names them, whose joints are moved by the base's own equations. They turn about
         the origin of ``body``."""
@@ -168,23 +172,6 @@ class BaseDescription(Section):
         """Raise ``ValueError`` with the key path where the file's limits do not fit this base."""
 
 
-class Footprint(Protocol):
-    """Where a base stands on the ground: ``size`` points, in the axes of its body, with ``names`` of their wheels or casters.
-    ``even``: they share the load as equal springs under a stiff body do. ``modules``: its legs, where the points are those of
-    steered wheels."""
-
-    size: int
-    names: list[str]
-    even: bool
-    modules: ModuleGeometry | None
-
-    def positions(self, x: Array) -> Array:
-        """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
-
-    def expressions(self, x: ca.SX) -> list[ca.SX]:
-        """The same (2 each) as symbols of the state."""
-
-
 class Base(Protocol):
     """The symbolic side of a base in a robot model: names of its state and input, kinematics, dynamics, limits and home.
 
@@ -193,6 +180,8 @@ class Base(Protocol):
     quaternion (7). Optional ``state_units`` and ``input_units``: units by group, one text or one for each name;
     without them none are shown. ``unit_quaternions``: where quaternions begin in x. ``mode_bounds``: lowest and highest
     value of groups of ``mode``. ``brakes``: groups of ``mode`` that are brakes (1 open, 0 closed), and the input group each holds.
+    ``rolling_groups``: groups of the input that are speeds of wheels, which roll as the base moves; ``steering_groups``: those of joints that
+    steer wheels. Both are empty where the input has none.
     ``ground`` [m]: height of the floor in the model's world (negative where the world's origin is
     above it). ``body_height`` [m]: of the body's frame above the floor at home. ``balances``: the robot falls when it is stopped.
     ``wheels``: number of wheels with rows in :meth:`rolling`; 0 if no constraint makes them roll. ``footprint``: None where the
@@ -210,6 +199,8 @@ class Base(Protocol):
     mode_bounds: dict[str, tuple[float, float]]
     unit_quaternions: tuple[int, ...]
     brakes: dict[str, str]
+    rolling_groups: tuple[str, ...]
+    steering_groups: tuple[str, ...]
     ground: float
     body_height: float
     balances: bool

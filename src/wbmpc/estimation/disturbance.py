@@ -21,7 +21,7 @@ tilt rate.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,15 +33,16 @@ from wbmpc.kernel.step import Backend, bind
 
 @dataclass
 class DisturbanceObserver:
-    """``step(x, u, h)``: the model's state after h seconds; ``mass(q)``: M. Units: SI. ``backend``: machine code
+    """``step(x, u, h)``: the model's state after h seconds; ``mass(q)``: M. Units: SI. ``gate`` (1 to ``size``): largest innovations of the
+    first speeds that are none of a push. ``backend``: machine code
     (:mod:`wbmpc.estimation.disturbance_step`), or the same source as ordinary Python."""
 
     step: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
     mass: Callable[[np.ndarray], np.ndarray]
     size: int
+    gate: np.ndarray
     speed_gain: float = 25.0
     force_gain: float = 75.0
-    gate: np.ndarray = field(default_factory=lambda: np.array([0.06, 0.06, 0.25, 0.12, 0.12]))
     hold: float = 1.0
     longest: float = 0.5
     settled: float = 1.0

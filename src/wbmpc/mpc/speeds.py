@@ -54,6 +54,8 @@ class SpeedMPC(MPC):
         if not isinstance(inner, InputRate):
             raise InputError("speed MPC: a problem with accelerations as inputs is needed (with_accelerations)")
         self._dynamics: InputRate = inner
+        base = getattr(inner.dynamics, "base", None)  # a user's own dynamics have none
+        self._rolling = [g for g in getattr(base, "rolling_groups", ()) if g not in inner.groups]
         guess = options.pop("guess", None)
         super().__init__(ocp, solver, rate, **options)
         self._own = self._dynamics.dynamics.state.size
@@ -102,8 +104,8 @@ class SpeedMPC(MPC):
         for group in d.groups:
             u[:, inputs[group]] = plan.x[:-1, d.state[f"{group}_input"]]
             slope[:, inputs[group]] = plan.u[:, d.input[f"{group}_rate"]]
-        if "wheel" in inputs and "wheel" not in d.groups:  # wheels roll with the base, from node to node
-            part = inputs["wheel"]
+        for group in self._rolling:  # wheels roll with the base, from node to node
+            part = inputs[group]
             slope[:-1, part] = np.diff(u[:, part], axis=0) / steps[:-1]
         own, gain = np.ascontiguousarray(plan.x[:, : self._own]), np.zeros((*plan.u.shape, self._own))
         return SpeedPolicy(

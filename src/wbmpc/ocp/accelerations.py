@@ -79,7 +79,7 @@ def with_accelerations(
             softness = max(term.softness, SOFTNESS)
             wrapped.add(replace(term, residual=RateRows(term.residual, dynamics), softness=softness))
         elif isinstance(term, Constraint) and isinstance(term.residual, AccelerationLimit):
-            rest = [g for g in term.residual.names if g not in shares and g != "wheel"]
+            rest = [g for g in term.residual.names if g not in shares and g not in robot.base.rolling_groups]
             if rest:
                 kept = AccelerationLimit(robot, rest, term.residual.share)
                 wrapped.add(replace(term, name="other accelerations", residual=kept))

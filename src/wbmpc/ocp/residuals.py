@@ -204,7 +204,7 @@ class AccelerationLimit:
             last = ca.fmin(ca.fmax(s.reference[k], low), high)
             change = maximum * since + ((since <= 0.0) + self._braked(s, name)) * (high - low)
             upper, lower = ca.fmin(high, last + change), ca.fmax(low, last - change)
-            if not name.startswith("steer.") and name in self.robot.state.names:
+            if name.split(".", 1)[0] not in self.robot.base.steering_groups and name in self.robot.state.names:
                 j = self.robot.state.index(name)
                 if np.isfinite(limits.state_upper[j]):
                     upper = ca.fmin(upper, maximum / high * (float(limits.state_upper[j]) - s.x[j]))

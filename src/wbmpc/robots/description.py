@@ -303,7 +303,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
     for name, key in {**of_base, description.arm.tool: "arm.tool", **of_arms}.items():
         if name not in frames:
             raise unknown_name(f"frame (key '{key}')", name, frames, where=description.source)
-    steering = description.base.joint_groups().get("steer", [])
+    steering = description.base.steering_joints()
     for name in limits.actuator_velocity:
         if name not in steering:
             raise unknown_name(

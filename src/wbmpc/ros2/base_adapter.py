@@ -74,7 +74,8 @@ class BaseAdapter(Protocol):
     ``must_keep_running``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
     ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as messages; ``inspect``, called in the
-    node's own thread now and then, looks for those that would take too long in a tick.
+    node's own thread now and then, looks for those that would take too long in a tick. ``fall``: message that the robot at x (nx) has
+    fallen, which begins with :data:`wbmpc.ros2.health.FELL`; empty if it has not.
     ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localization's pose at every tick;
     after ``relocate`` the next one says where the robot is, whatever was known before. ``origin``: when [s] the runner's clock was 0,
     on the one behind it, which goes on from run to run. ``begin`` makes a new controller and MPC for a run
@@ -105,6 +106,9 @@ class BaseAdapter(Protocol):
     @property
     def faults(self) -> list[str]:
         return []
+
+    def fall(self, x: Array) -> str:  # what need not be kept running does not fall
+        return ""
 
     def inspect(self) -> None:
         return None

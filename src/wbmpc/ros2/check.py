@@ -181,15 +181,15 @@ def _balancing(topic: str, rate: float, target: float) -> list[Finding]:
 
 def _brakes(robot: RobotModel, controllers: dict[str, Controller]) -> list[Finding]:
     """Of legs with brakes, which need no commands."""
-    legs = robot.input.groups.get("leg", ())
-    left = [n for n in legs if not any(f"brake/{n}" in c.joints for c in controllers.values())]
+    brakes = [f"{group}/{n}" for group, held in robot.base.brakes.items() for n in robot.input.groups[held]]
+    left = [name for name in brakes if not any(name in c.joints for c in controllers.values())]
     if not left:
         return []
     return [
         Finding(
             WARNING,
             "controllers",
-            f"no controller commands the brake of {left[0]} ('brake/{left[0]}'): it stays as it is",
+            f"no controller commands the brake of {left[0].partition('/')[2]} ('{left[0]}'): it stays as it is",
         )
     ]
 

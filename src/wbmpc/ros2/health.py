@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -19,16 +18,8 @@ _LOG = logging.getLogger("wbmpc")
 WINDOW = 2.0
 #: A controller is late that runs at less than this share of real time, or of whose ticks more than this share are late.
 SLOW, OFTEN = 0.95, 0.05
-#: A base that leans by more than this [rad] has fallen: no plan leans as far, and no wheel catches it.
-FALLEN = 0.7
 #: How the reason of a stop for a fall begins.
 FELL = "the robot fell"
-
-
-def fall(x: np.ndarray) -> str:
-    """Message that a robot with the state x (x, y, yaw [rad], pitch [rad], roll [rad], …) has fallen; empty if it has not."""
-    lean = math.acos(math.cos(x[3]) * math.cos(x[4])) if np.isfinite(x[3:5]).all() else math.pi
-    return f"{FELL}, it leans by {math.degrees(lean):.0f} degrees" if lean > FALLEN else ""
 
 
 class Health:
@@ -86,7 +77,7 @@ class Health:
         if seen is None:
             self.fell = ""
             return
-        fallen = fall(seen[1])
+        fallen = c.adapter.fall(seen[1])
         if not fallen:
             self.fell = ""
         elif not self.fell:

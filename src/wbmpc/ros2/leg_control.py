@@ -8,6 +8,7 @@ import numpy as np
 
 from wbmpc.ros2.base_adapter import LegCommands
 from wbmpc.ros2.convert import error_message
+from wbmpc.stability.configurations import leg_group
 
 if TYPE_CHECKING:
     from wbmpc.ros2.control import ControlNode
@@ -31,13 +32,18 @@ class LegControl:
         """Time [s] from which on brakes can still be scheduled."""
         return self.control.clock.now() + BRAKE_LEAD
 
+    def _legs(self, x: np.ndarray) -> np.ndarray:
+        """The legs (n) [rad] of the state x (nx)."""
+        robot = self.control.robot
+        return x[robot.state[leg_group(robot)]]
+
     def _state(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Brakes (n, 1 = open) and legs (n) [rad] now; None before the first state."""
         control = self.control
         seen, brakes = control.adapter.snapshot(), control.adapter.brakes
         if seen is None or brakes is None:
             return None
-        return brakes.commanded(self._brake_time() if control.running else 0.0), seen[1][control.robot.state["leg"]]
+        return brakes.commanded(self._brake_time() if control.running else 0.0), self._legs(seen[1])
 
     def update(self) -> None:
         """Take in what has come. The first command starts a robot that stands, and its base stays where it is."""
@@ -62,7 +68,7 @@ class LegControl:
             task = adapter.planner.hold(x, 0.0)
             control.start(x, task, adapter.references(task, x))
         assert adapter.brakes is not None
-        leg, t = x[control.robot.state["leg"]], self._brake_time()
+        leg, t = self._legs(x), self._brake_time()
         if commands.apply(adapter.brakes, t, leg):
             assert commands.angles is not None
             adapter.swing(commands.angles)

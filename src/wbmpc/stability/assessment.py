@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.stability.configurations import leg_angles, reject_beyond
+from wbmpc.stability.configurations import leg_angles, leg_group, reject_beyond
 from wbmpc.stability.geometry import Region, area, overlap_regions, region_margin, support_polygon
 from wbmpc.stability.robot import Stance, StanceOf, standing
 from wbmpc.stability.zmp import GRAVITY
@@ -54,7 +54,8 @@ class Assessment:
         """Everything as plain numbers and lists (SI units); what is not a number is None. ``stays_upright``: it does not tip over;
         whether it slides, ``friction_needed`` says (None if it tips over)."""
         s = self.stance
-        legs = self.x[self.robot.state["leg"]] if "leg" in self.robot.state else np.zeros(0)
+        group = leg_group(self.robot)
+        legs = self.x[self.robot.state[group]] if group else np.zeros(0)
         return {
             "robot": self.robot.description.name,
             "configuration": self.configuration,
@@ -136,14 +137,12 @@ def assess(
     angles ``arm`` [rad] if given; the world's ``wrench`` (6) on the end effector (force [N], moment [N m]), ``gravity`` (3) [m/s²],
     both in the frame of the ground (z along its normal, also on a slope). Raises :class:`InputError` for angles outside the
     limits."""
-    standing(robot)
-    x = robot.home.copy()
+    steered, x = standing(robot).steered, robot.home.copy()
     name = "home"
     if configuration is not None:
         angles = leg_angles(robot, configuration)
-        leg, steer = robot.state["leg"], robot.state["steer"]
-        x[steer] += robot.base.geometry.leg_angles(x[leg] - angles)  # the wheels keep their headings
-        x[leg] = angles
+        assert steered is not None  # what has leg angles has legs
+        x = steered.with_legs(x, angles)
         name = configuration.upper() if isinstance(configuration, str) and len(configuration) == 1 else "angles"
     if arm is not None:
         x[robot.state["arm"]] = _arm_angles(robot, arm)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases import base_type
+from wbmpc.bases.footprint import Footprint
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
@@ -29,8 +30,14 @@ def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArr
     legs, named = hinged(robot).modules, configurations(robot)
     name = configuration.upper() if isinstance(configuration, str) else ""
     angles = named[name] if name in named else _parsed(configuration, legs, named)
-    reject_beyond(robot, "leg", angles, f"configuration {name}" if name in named else "configuration")
+    reject_beyond(robot, leg_group(robot), angles, f"configuration {name}" if name in named else "configuration")
     return angles
+
+
+def leg_group(robot: RobotModel) -> str:
+    """The group of the robot's state that is the joints of its legs; empty where it has none that move."""
+    footprint: Footprint | None = robot.base.footprint
+    return "" if footprint is None or footprint.steered is None else footprint.steered.leg_group
 
 
 def hinged(robot: RobotModel) -> ModuleGeometry:

@@ -99,11 +99,11 @@ def _grid(paper: _Paper) -> None:
 
 def _robot(paper: _Paper, a: Assessment) -> None:
     """Body, legs and wheels, where the feet are steered wheels."""
-    g, state = standing(a.robot).modules, a.robot.state
-    if g is None:
+    footprint = standing(a.robot)
+    g, steered = footprint.modules, footprint.steered
+    if g is None or steered is None:
         return
-    leg = a.x[state["leg"]] if "leg" in state else np.zeros(g.modules)
-    headings = g.wheel_heading + g.leg_angles(leg) + a.x[state["steer"]]
+    headings = steered.headings(a.x)
     around = g.hinge[np.argsort(np.arctan2(*g.hinge.T[::-1]))]
     paper.polygon(around, f'fill="{_BODY}" fill-opacity="0.15" stroke="{_BODY}" stroke-width="1.5"')
     for hinge, foot, heading, name in zip(g.hinge, a.stance.feet, headings, a.names, strict=True):

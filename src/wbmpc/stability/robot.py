@@ -1,6 +1,6 @@
 """The support of a described robot: contacts, masses, loads and margins, as symbols and as numbers.
 
-Only bases with a footprint (:class:`wbmpc.bases.base.Footprint`) of at least three points stand by themselves. Everything is in
+Only bases with a footprint (:class:`wbmpc.bases.footprint.Footprint`) of at least three points stand by themselves. Everything is in
 axes of the world (z along the ground's normal), with the origin on the ground under the base's frame.
 """
 
@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wbmpc.bases.base import Base, Footprint
+from wbmpc.bases.base import Base
+from wbmpc.bases.footprint import Footprint
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import Chain, FramePose, PointLoad, RootMotion, constant, cross

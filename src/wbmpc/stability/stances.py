@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry
+from wbmpc.stability.configurations import leg_group
 from wbmpc.stability.geometry import area, cross, support_polygon
 from wbmpc.stability.geometry import margin as margin_to
 from wbmpc.stability.robot import StanceOf, standing
@@ -46,7 +47,7 @@ def _searched(robot: RobotModel, half_width: float) -> Array:
     geometry = standing(robot).modules
     if geometry is None or not geometry.legs_move:
         raise InputError(f"{robot.description.name}: its legs are fixed, it has one stance")
-    part = robot.state["leg"]
+    part = robot.state[leg_group(robot)]
     lower, upper = (np.clip(v[part], -np.pi, np.pi) for v in (robot.limits.state_lower, robot.limits.state_upper))
     home, stance, x = np.clip(robot.home[part], lower, upper), StanceOf(robot), robot.home.copy()
 

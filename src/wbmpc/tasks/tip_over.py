@@ -9,7 +9,6 @@ from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
@@ -52,15 +51,13 @@ def reaching(robot: RobotModel, direction: float, legs: str, rolling: float | No
     """The robot with another home: the arm reaches as far as it can in a direction [rad], level with the middle of where it can be, hinged
     legs are in a configuration, and steered wheels roll in the direction, or in another one, ``rolling`` [rad]."""
     x, state = robot.home.copy(), robot.state
-    if legs != "home" and "leg" in state:
-        x[state["leg"]] = leg_angles(robot, legs)
-    modules = standing(robot).modules
+    steered = standing(robot).steered
+    if legs != "home" and steered is not None and steered.leg_group:
+        x = steered.with_legs(x, leg_angles(robot, legs))
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
-    if modules is not None:
+    if steered is not None:
         towards = direction if rolling is None else rolling
-        rolls = np.array([np.cos(towards), np.sin(towards), 0.0])
-        leg = x[state["leg"]] if "leg" in state else np.zeros(modules.modules)
-        x[state["steer"]] = rolling_inverse_kinematics(modules, leg, np.zeros(modules.modules), rolls)[0]
+        x = steered.rolling(x, np.array([np.cos(towards), np.sin(towards), 0.0]))
     x[state["arm"]] = farthest(robot, x, along)
     names = {n: float(x[state[g]][i]) for g in state.groups if g != "base" for i, n in enumerate(state.groups[g])}
     description = robot.description
@@ -161,7 +158,8 @@ def build(settings: TipOverSettings, seed: int) -> Scenario:
     def metrics(log: Log) -> dict[str, Metric]:
         return {**watch.metrics(), **stopping(log, ordered)}
 
-    wheels = robot.description.base.wheel_joints() or list(robot.state.groups.get("wheel", ()))
+    rolling = [n for group in robot.base.rolling_groups for n in robot.input.groups[group]]
+    wheels = robot.description.base.wheel_joints() or rolling
     return closed_loop(
         robot, mpc, ordered + settings.after, seed, settings, since=start, tick=tick, metrics=metrics,
         plots=lambda log: watch.plots(wheels), truth=watch.see,

@@ -9,6 +9,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability import configurations, leg_angles
+from wbmpc.stability.configurations import leg_group
 
 Array = np.ndarray
 #: Legs are in a configuration where each is within this [rad] of its angle.
@@ -28,7 +29,7 @@ class LegConfiguration:
             return
         if not angles:
             return
-        names = robot.state.groups["leg"]
+        names = robot.state.groups[leg_group(robot)]
         if set(names) <= set(joints):
             self._places, self._angles = [list(joints).index(name) for name in names], np.array(angles)
 

@@ -31,6 +31,9 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the target by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
+#: Innovations of the base's speeds beyond which a force is a push, and no disturbance to learn: of the ball along x and y [m/s], of yaw, pitch
+#: and roll [rad/s].
+GATE = (0.06, 0.06, 0.25, 0.12, 0.12)
 
 
 class BallController:
@@ -59,7 +62,9 @@ class BallController:
         self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
         if observer:
-            self.observer = DisturbanceObserver(self._step, robot.base.numeric.mass_matrix, robot.base.nq)
+            self.observer = DisturbanceObserver(
+                self._step, robot.base.numeric.mass_matrix, robot.base.nq, np.array(GATE)
+            )
         self.disturbance = np.zeros(robot.base.nq)
         self.payload = (
             PayloadEstimator(robot.base.numeric.tool_weight) if observer and "payload" in robot.parameters else None

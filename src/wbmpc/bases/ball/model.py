@@ -26,7 +26,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.units import force_unit, rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.footprint import Footprint
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 
@@ -86,6 +86,8 @@ class BallBase:
         self.unit_quaternions: tuple[int, ...] = ()
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
+        self.rolling_groups: tuple[str, ...] = ()
+        self.steering_groups: tuple[str, ...] = ()
         self.footprint: Footprint | None = None
         self.twist = np.eye(3)
         self.wheels, self.balances = 0, True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,7 +28,7 @@ from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
-from wbmpc.ros2.health import fall
+from wbmpc.ros2.health import FELL
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
 
 Array = np.ndarray
@@ -40,6 +41,14 @@ TURNED, TURNING = 1e-3, 0.05
 #: Postures are solved for (some 20 ms each) before and after at most so many changes of the end effector's pose; on ways with more of
 #: them in so many poses.
 CHANGES, POSTURES = 12, 5
+#: A base that leans by more than this [rad] has fallen: no plan leans as far, and no wheel catches it.
+FALLEN = 0.7
+
+
+def fall(x: Array) -> str:
+    """Message that a robot with the state x (x, y, yaw [rad], pitch [rad], roll [rad], …) has fallen; empty if it has not."""
+    lean = math.acos(math.cos(x[3]) * math.cos(x[4])) if np.isfinite(x[3:5]).all() else math.pi
+    return f"{FELL}, it leans by {math.degrees(lean):.0f} degrees" if lean > FALLEN else ""
 
 
 @dataclass(frozen=True)
@@ -260,6 +269,10 @@ class BallRosAdapter(BaseAdapter):
     def faults(self) -> list[str]:
         """Encoders that stand still, wheels that slip, a force that pushes the robot away."""
         return self.controller.faults
+
+    def fall(self, x: Array) -> str:
+        """By the lean of its body."""
+        return fall(x)
 
     def problem(self, cost: RezeroCost) -> OptimalControlProblem:
         """The controller's problem with other weights, without its limit of the lean, which takes 0.2 s to make and has no weight:

@@ -16,7 +16,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.footprint import Footprint
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 
@@ -36,6 +36,8 @@ class FixedBase:
         self.unit_quaternions: tuple[int, ...] = ()
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
+        self.rolling_groups: tuple[str, ...] = ()
+        self.steering_groups: tuple[str, ...] = ()
         self.footprint: Footprint | None = None
         self.twist: NDArray[np.float64] = np.eye(3)
         self.wheels, self.balances = 0, False

@@ -20,7 +20,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.footprint import Footprint, SteeredFeet
     from wbmpc.model.robot import RobotModel
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
@@ -38,9 +38,10 @@ FLAT = 1e-3
 
 class PointFootprint:
     """Points (n, 2) [m] that do not move in the axes of the body: wheels, casters. ``even``: see
-    :class:`wbmpc.bases.base.Footprint`."""
+    :class:`wbmpc.bases.footprint.Footprint`."""
 
     modules: ModuleGeometry | None = None
+    steered: SteeredFeet | None = None
 
     def __init__(self, points: Array, names: Sequence[str], even: bool) -> None:
         self._points, self.size, self.names, self.even = points, len(points), list(names), even
@@ -95,6 +96,8 @@ class PlanarBase:
         self.mode: dict[str, list[str]] = {}
         self.mode_bounds: dict[str, tuple[float, float]] = {}
         self.brakes: dict[str, str] = {}
+        self.rolling_groups: tuple[str, ...] = ()
+        self.steering_groups: tuple[str, ...] = ("steer",) if "steer" in joints else ()
         self.unit_quaternions: tuple[int, ...] = ()
         self.footprint: Footprint | None = standing_on(
             PointFootprint(wheels.position, section(description).wheel_joints(), True)

@@ -52,7 +52,11 @@ class SwerveBaseDescription(BaseDescription):
         """Joints of the legs (none with fixed legs), steering and wheel joints, each by module."""
         moved = [m.leg for m in self.modules if m.leg]
         legs = {"leg": moved} if moved else {}
-        return {**legs, "steer": [m.steer for m in self.modules], "wheel": [m.wheel for m in self.modules]}
+        return {**legs, "steer": self.steering_joints(), "wheel": [m.wheel for m in self.modules]}
+
+    def steering_joints(self) -> list[str]:
+        """One for each module."""
+        return [m.steer for m in self.modules]
 
     def joints(self) -> list[str]:
         """The joints module by module."""

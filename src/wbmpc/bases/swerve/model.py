@@ -22,12 +22,12 @@ from wbmpc.model.joints import Limits, joint_home, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, constant, rotation_about
 from wbmpc.model.layout import Layout
 from wbmpc.model.tree import Tree
-from wbmpc.model.wheels import ModuleGeometry
+from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.robots import RobotDescription
 from wbmpc.units import rate_unit
 
 if TYPE_CHECKING:
-    from wbmpc.bases.base import Footprint
+    from wbmpc.bases.footprint import Footprint, SteeredFeet
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 
@@ -152,14 +152,35 @@ class ModuleFootprint:
     def __init__(self, base: SwerveBase) -> None:
         self._base, self.size = base, base.geometry.modules
         self.modules: ModuleGeometry | None = base.geometry
+        self.steered: SteeredFeet | None = self
+        self.leg_group, self._state = "leg" if base.geometry.legs_move else "", Layout(base.state)
         self.names, self.even = list(base.state["wheel"]), True
 
     def positions(self, x: Array) -> Array:
         """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
-        base = self._base
-        start = len(base.state["base"])
-        leg = x[start : start + self.size] if base.geometry.legs_move else np.zeros(self.size)
-        return base.geometry.steer_axes(leg)
+        return self._base.geometry.steer_axes(self.legs(x))
+
+    def legs(self, x: Array) -> Array:
+        """Positions (n) [rad, or m of those that slide] of the legs' joints; zero where they are fixed."""
+        return x[self._state[self.leg_group]] if self.leg_group else np.zeros(self.size)
+
+    def headings(self, x: Array) -> Array:
+        """Directions (n) [rad] of the wheels in the axes of the body."""
+        g = self._base.geometry
+        return np.asarray(g.wheel_heading + g.leg_angles(self.legs(x)) + x[self._state["steer"]], float)
+
+    def with_legs(self, x: Array, legs: Array) -> Array:
+        """The state with the legs' joints at ``legs`` (n), the wheels along the same directions of the body."""
+        moved = x.copy()
+        moved[self._state["steer"]] += self._base.geometry.leg_angles(self.legs(x) - legs)
+        moved[self._state[self.leg_group]] = legs
+        return moved
+
+    def rolling(self, x: Array, twist: Array) -> Array:
+        """The state with the wheels along a twist (vx, vy, wz) of the body, within a quarter turn of where they stand at zero."""
+        turned, straight = x.copy(), np.zeros(self.size)
+        turned[self._state["steer"]] = rolling_inverse_kinematics(self._base.geometry, self.legs(x), straight, twist)[0]
+        return turned
 
     def expressions(self, x: ca.SX) -> list[ca.SX]:
         """The same (2 each) as symbols of the state."""
@@ -218,6 +239,8 @@ class SwerveBase:
         self.mode: dict[str, list[str]] = {"brake": hinges} if hinges else {}
         self.mode_bounds = {group: (0.0, 1.0) for group in self.mode}
         self.brakes = dict.fromkeys(self.mode, "leg")
+        self.rolling_groups: tuple[str, ...] = ("wheel",)
+        self.steering_groups: tuple[str, ...] = ("steer",)
         self.footprint: Footprint | None = ModuleFootprint(self)
         self.twist = np.eye(3)
         self.wheels = self.geometry.modules

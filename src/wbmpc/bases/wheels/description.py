@@ -38,8 +38,12 @@ class WheelsBaseDescription(PlanarBaseDescription):
 
     def joint_groups(self) -> dict[str, list[str]]:
         """Steering joints."""
-        steering = [w.steer for w in self.wheels if w.steer]
+        steering = self.steering_joints()
         return {"steer": steering} if steering else {}
+
+    def steering_joints(self) -> list[str]:
+        """Those of the wheels that have one."""
+        return [w.steer for w in self.wheels if w.steer]
 
     def joints(self) -> list[str]:
         """Of every wheel its steering joint and its own."""

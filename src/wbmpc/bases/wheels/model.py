@@ -23,6 +23,7 @@ from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
+    from wbmpc.bases.footprint import SteeredFeet
     from wbmpc.model.robot import RobotModel
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
@@ -120,6 +121,7 @@ class WheelsFootprint:
     """Where a mix of wheels stands: contacts beside their steering axes move with those; casters do not."""
 
     modules: ModuleGeometry | None = None
+    steered: SteeredFeet | None = None
 
     def __init__(self, base: WheelsBase, description: WheelsBaseDescription) -> None:
         self._contacts, self._casters = base.wheel_contacts, np.array(description.casters).reshape(-1, 2)

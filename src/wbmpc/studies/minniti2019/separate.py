@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.checks import not_negative, numbers, positive
@@ -119,7 +119,7 @@ class SeparateController(BallController):
         if observer:
             wheels = robot.input["wheel"]
             step = lambda x, u, h: planner.solver.simulate(x, u[wheels], h)
-            self.observer = DisturbanceObserver(step, self._base_mass, n)
+            self.observer = DisturbanceObserver(step, self._base_mass, n, np.array(GATE))
 
     def _base_mass(self, q: Array) -> Array:
         """M with the base's columns alone: how the arm moves is no innovation."""
