@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.stability.configurations import leg_angles, reject_beyond
+from wbmpc.stability.configurations import hinged, leg_angles, reject_beyond
 from wbmpc.stability.geometry import Region, area, overlap_regions, region_margin, support_polygon
 from wbmpc.stability.robot import Stance, StanceOf, standing
 from wbmpc.stability.zmp import GRAVITY
@@ -142,7 +142,7 @@ def assess(
     if configuration is not None:
         angles = leg_angles(robot, configuration)
         leg, steer = robot.state["leg"], robot.state["steer"]
-        x[steer] += robot.base.geometry.leg_angles(x[leg] - angles)  # the wheels keep their headings
+        x[steer] += hinged(robot).leg_angles(x[leg] - angles)  # the wheels keep their headings
         x[leg] = angles
         name = configuration.upper() if isinstance(configuration, str) and len(configuration) == 1 else "angles"
     if arm is not None:
