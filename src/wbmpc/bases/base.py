@@ -179,10 +179,10 @@ class Footprint(Protocol):
     modules: ModuleGeometry | None
 
     def positions(self, x: Array) -> Array:
-        """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
+        """Feet (n, 2) [m] in the axes of the body at a state ``x`` (nx) [m, rad]."""
 
     def expressions(self, x: ca.SX) -> list[ca.SX]:
-        """The same (2 each) as symbols of the state."""
+        """The same (2 each) [m] as symbols of the state ``x`` (nx) [m, rad]."""
 
 
 class Base(Protocol):
