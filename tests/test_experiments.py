@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import ast
 import json
+import re
+import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
 from wbmpc import registry
+from wbmpc.benchmark.problems import race_problems
 from wbmpc.cli import main
+from wbmpc.cli.study import built_in_studies
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
-from wbmpc.studies import EXPERIMENTS as OF_STUDIES
+from wbmpc.studies.race.robots import RACE
 from wbmpc.tasks import EXPERIMENTS as GENERAL
 
-EXPERIMENTS = {**GENERAL, **OF_STUDIES}
 ROOT = Path(__file__).parents[1]
+ENTRY_POINTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+EXPERIMENTS = ENTRY_POINTS["wbmpc.experiments"]
 SOURCE = ROOT / "src" / "wbmpc"
 OWN = """
 from pydantic import BaseModel
@@ -59,9 +65,65 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     registry.load.cache_clear()
 
 
-def test_entry_points_are_the_table() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["entry-points"]["wbmpc.experiments"] == EXPERIMENTS
+def test_entry_points_are_the_table_of_general_experiments_and_those_of_studies() -> None:
+    studies = {name: value for name, value in EXPERIMENTS.items() if value.startswith("wbmpc.studies.")}
+    assert studies and {**GENERAL, **studies} == EXPERIMENTS
+    assert ENTRY_POINTS["wbmpc.demo"].items() <= studies.items()
+
+
+def test_general_experiments_come_first_then_those_of_studies_by_name() -> None:
+    assert list(REGISTRY) == [*GENERAL, *sorted(EXPERIMENTS.keys() - GENERAL.keys())]
+
+
+#: Blocks what ``PREFIXES`` names as if it were not there, then calls the command line.
+WITHOUT = """
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.startswith(PREFIXES):
+            raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+sys.meta_path.insert(0, Missing())
+from wbmpc.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    "missing", [("wbmpc.studies.pankert2022", "wbmpc.studies.minniti2019"), ("wbmpc.studies",)], ids=["papers", "all"]
+)
+def test_the_product_runs_without_the_studies(missing: tuple[str, ...]) -> None:
+    def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", WITHOUT.replace("PREFIXES", repr(missing)), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+    listed = call("list", "--json")
+    assert (listed.returncode, listed.stderr) == (0, "")
+    summaries = {e["name"]: e["summary"] for e in json.loads(listed.stdout)["experiments"]}
+    lost = {name for name, summary in summaries.items() if "cannot be imported" in summary}
+    assert lost == EXPERIMENTS.keys() - GENERAL.keys() and summaries.keys() == EXPERIMENTS.keys()
+    settings = call("run", "hold", "--settings", "--json")
+    assert (settings.returncode, settings.stderr) == (0, "") and json.loads(settings.stdout)["settings"]
+    unknown = call("run", "swerve-track")
+    assert unknown.returncode == 2 and "cannot be imported" in unknown.stderr
+
+
+def test_demo_and_race_say_that_no_package_offers_something(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wbmpc.plugins.entry_points", lambda group: ())
+    with pytest.raises(InputError, match=r"'wbmpc demo' \(entry-point group 'wbmpc\.demo'\)"):
+        registry.demonstrated()
+    with pytest.raises(InputError, match=r"problems for the race \(entry-point group 'wbmpc\.race'\)"):
+        race_problems.__wrapped__()
+    assert built_in_studies() == {}
+
+
+def test_the_race_has_the_problems_of_all_that_offer_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: what the module of the entry point lists, once for each of two."""
+    target = ENTRY_POINTS["wbmpc.race"]["robots"]
+    points = tuple(EntryPoint(name, target, "wbmpc.race") for name in ("a", "b"))
+    monkeypatch.setattr("wbmpc.plugins.entry_points", lambda group: points)
+    found = race_problems.__wrapped__()
+    assert found.robots == [*RACE.robots, *RACE.robots]
+    assert (found.limited, found.sizes) == (RACE.limited, RACE.sizes)
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
@@ -82,7 +144,9 @@ def test_nothing_outside_of_the_studies_imports_them() -> None:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom):
                 names = [f"{'.' * node.level}{node.module or ''}.{a.name}" for a in node.names]
-            users += [f"{path.name}:{node.lineno}" for name in names if "studies" in name.split(".")]  # type: ignore[attr-defined]
+            elif isinstance(node, ast.Constant) and str(node.value).startswith("wbmpc.studies"):
+                names = [str(node.value)]  # what import_module would be given
+            users += [f"{path.name}:{node.lineno}" for name in names if "studies" in re.split("[.:]", name)]  # type: ignore[attr-defined]
     assert users == []
 
 

@@ -8,12 +8,16 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+import pytest
 
 import public_api
+import user_base_type
 import user_program
 import wbmpc as wb
+from wbmpc import bases
 
 SOURCE = Path(wb.__file__)
 
@@ -60,8 +64,33 @@ def test_a_program_runs_and_records_an_experiment_of_its_own(tmp_path: Path) -> 
     assert recording["/joint_states"].times
 
 
-def test_the_program_imports_nothing_else_of_the_package() -> None:
-    tree = ast.parse(Path(user_program.__file__).read_text())
+RAIL = """<mujoco><compiler angle="radian"/><worldbody><body name="beam"><inertial mass="5" pos="0 0 0" diaginertia="1 1 1"/>
+  <body name="cart"><joint name="slide" type="slide" axis="1 0 0" range="-2 2"/>
+    <inertial mass="2" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>
+    <body name="link"><joint name="elbow" type="hinge" axis="0 0 1" range="-3 3"/>
+      <inertial mass="1" pos="0.2 0 0" diaginertia="0.1 0.1 0.1"/><site name="tip" pos="0.3 0 0"/></body></body></body></worldbody></mujoco>"""
+ROBOT = """{name: rail, model: rail.xml, base: {type: rail, body: beam, axis: slide}, arm: {joints: [elbow], tool: tip},
+  home: {elbow: 0.5}, limits: {velocity: {slide: 0.4, elbow: 1.0}}}"""
+
+
+def test_a_base_type_of_public_names_loads_and_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(bases.TABLE, "rail", "user_base_type:RailBaseType")
+    bases._locations.cache_clear()
+    (tmp_path / "rail.xml").write_text(RAIL)
+    (tmp_path / "rail.yaml").write_text(ROBOT)
+    robot = wb.load_robot(tmp_path / "rail.yaml")
+    monkeypatch.undo()
+    bases._locations.cache_clear()
+    bases.base_type.cache_clear()
+    # truth: by hand
+    np.testing.assert_allclose(robot.pose([0.7, 0.5])[0], [0.7 + 0.3 * np.cos(0.5), 0.3 * np.sin(0.5), 0.0], atol=1e-12)
+    np.testing.assert_allclose(robot.home, [0.0, 0.5])
+    np.testing.assert_allclose(robot.limits.input_upper, [0.4, 1.0])
+
+
+@pytest.mark.parametrize("program", [user_program, user_base_type])
+def test_programs_import_nothing_else_of_the_package(program: ModuleType) -> None:
+    tree = ast.parse(Path(str(program.__file__)).read_text())
     names = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
     names |= {str(n.module) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
     assert {n for n in names if n.startswith("wbmpc")} == {"wbmpc"}

@@ -7,6 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what type checkers see; a test compares it with the table below
     from wbmpc.bases import base_type as base_type
+    from wbmpc.bases.base import Base as Base
+    from wbmpc.bases.base import BaseDescription as BaseDescription
+    from wbmpc.bases.base import BaseType as BaseType
+    from wbmpc.bases.base import Footprint as Footprint
+    from wbmpc.bases.base import System as System
     from wbmpc.clearance.lattice import plan_route as plan_route
     from wbmpc.embedded.exporter import export as export
     from wbmpc.errors import InputError as InputError
@@ -25,10 +30,16 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.model.augment import InputFilter as InputFilter
     from wbmpc.model.augment import InputRate as InputRate
     from wbmpc.model.augment import WithPath as WithPath
+    from wbmpc.model.joints import Limits as Limits
+    from wbmpc.model.joints import joint_home as joint_home
+    from wbmpc.model.joints import joint_limits as joint_limits
+    from wbmpc.model.kinematics import Chain as Chain
+    from wbmpc.model.kinematics import FramePose as FramePose
     from wbmpc.model.layout import Layout as Layout
     from wbmpc.model.ode import Ode as Ode
     from wbmpc.model.robot import RobotModel as RobotModel
     from wbmpc.model.robot import load_robot as load_robot
+    from wbmpc.model.tree import read_tree as read_tree
     from wbmpc.mpc.alternatives import Alternatives as Alternatives
     from wbmpc.mpc.filters import FilterMemory as FilterMemory
     from wbmpc.mpc.mpc import MPC as MPC
@@ -60,6 +71,7 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.result import Plot as Plot
     from wbmpc.result import RunResult as RunResult
     from wbmpc.result import Series as Series
+    from wbmpc.robots import RobotDescription as RobotDescription
     from wbmpc.runtime.clock import WallClock as WallClock
     from wbmpc.runtime.runner import RealTimeRunner as RealTimeRunner
     from wbmpc.runtime.safety import RealTimeSettings as RealTimeSettings
@@ -140,6 +152,18 @@ _MODULES = {
     "SolverBusy": "wbmpc.errors",
     "WbmpcError": "wbmpc.errors",
     "base_type": "wbmpc.bases",
+    "Base": "wbmpc.bases.base",
+    "BaseDescription": "wbmpc.bases.base",
+    "BaseType": "wbmpc.bases.base",
+    "Footprint": "wbmpc.bases.base",
+    "System": "wbmpc.bases.base",
+    "Limits": "wbmpc.model.joints",
+    "joint_home": "wbmpc.model.joints",
+    "joint_limits": "wbmpc.model.joints",
+    "Chain": "wbmpc.model.kinematics",
+    "FramePose": "wbmpc.model.kinematics",
+    "read_tree": "wbmpc.model.tree",
+    "RobotDescription": "wbmpc.robots",
     "Trajectory": "wbmpc.solver",
     "PolicyQueue": "wbmpc.mpc.policy_queue",
     "Timing": "wbmpc.simulation.lockstep",

@@ -1,9 +1,8 @@
 """Experiments by name: those of this package, those of other installed packages, and files that a user wrote.
 
 An experiment is a :class:`wbmpc.experiment.Experiment` somewhere in a module. A package offers its own through the entry-point group
-``wbmpc.experiments``; the built-in ones are listed by :data:`wbmpc.tasks.EXPERIMENTS` and
-:data:`wbmpc.studies.EXPERIMENTS`, so that a source checkout that is not
-installed has them too::
+``wbmpc.experiments``, and so do the studies of papers that come with this one; :data:`wbmpc.tasks.EXPERIMENTS` lists the general ones,
+which a source checkout that is not installed has too::
 
     [project.entry-points."wbmpc.experiments"]
     my-task = "my_package.my_task:EXPERIMENT"
@@ -19,34 +18,35 @@ import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from threading import RLock
 from types import ModuleType
 from typing import Any
 
+from wbmpc import plugins
 from wbmpc.errors import InputError, WbmpcError, unknown_name
 from wbmpc.experiment import Experiment
 from wbmpc.mpc.mpc import MPC
 
 GROUP = "wbmpc.experiments"
-#: The modules whose ``EXPERIMENTS`` list the built-in ones: imported by their names when they are asked for, and nowhere else.
-GENERAL, BUILT_IN = "wbmpc.tasks", "wbmpc.studies"
+#: The entry points of 'wbmpc demo': the same targets again.
+DEMO_GROUP = "wbmpc.demo"
+#: The table of the general experiments, imported by its name when it is asked for: it stands above this module.
+GENERAL = "wbmpc.tasks:EXPERIMENTS"
 #: One file at a time: while a file is imported its classes look each other up by the module's name, which two threads would share.
 _IMPORTING = RLock()
 
 
 @cache
 def locations() -> dict[str, str]:
-    """Name -> "module:attribute": the built-in experiments in their order, then those of other packages by name.
+    """Name -> "module:attribute": the general experiments in their order, the others of this distribution by name, then those of other
+    packages by name.
 
-    The name of a built-in experiment cannot be taken.
+    The name of an experiment of this distribution cannot be taken.
     """
-    built_in: dict[str, str] = {**import_module(GENERAL).EXPERIMENTS, **import_module(BUILT_IN).EXPERIMENTS}
-    others = sorted((point.name, point.value) for point in entry_points(group=GROUP))
-    return {**built_in, **{name: value for name, value in others if name not in built_in}}
+    general: dict[str, str] = plugins.load(GENERAL, "general experiments:")
+    return {**general, **{name: value for name, value in plugins.offered(GROUP).items() if name not in general}}
 
 
 @cache
@@ -55,11 +55,7 @@ def load(name: str) -> Experiment:
     known = locations()
     if name not in known:
         raise unknown_name("experiment", name, known)
-    module, _, attribute = known[name].partition(":")
-    try:
-        found = getattr(import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise InputError(f"experiment '{name}': {known[name]} cannot be imported: {error}") from error
+    found = plugins.load(known[name], f"experiment '{name}':")
     return _checked(found, f"experiment '{name}': {known[name]}")
 
 
@@ -141,8 +137,12 @@ def _checked(found: Any, where: str) -> Experiment:
 
 
 def demonstrated() -> list[str]:
-    """The built-in experiments that 'wbmpc demo' runs, in their order."""
-    found: list[str] = list(import_module(BUILT_IN).DEMO)
+    """The experiments that 'wbmpc demo' runs: those that installed packages offer for it. Raises :class:`InputError` if there is none."""
+    found = [name for name in plugins.offered(DEMO_GROUP) if name in locations()]
+    if not found:
+        raise InputError(
+            f"no installed package offers an experiment for 'wbmpc demo' (entry-point group '{DEMO_GROUP}')"
+        )
     return found
 
 

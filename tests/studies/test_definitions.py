@@ -15,14 +15,13 @@ from wbmpc.experiment import COMMON, defined
 from wbmpc.registry import REGISTRY
 from wbmpc.result import Metric
 from wbmpc.run_files import definition_in
-from wbmpc.studies import EXPERIMENTS as OF_STUDIES
 from wbmpc.tasks import EXPERIMENTS as GENERAL
 from wbmpc.tasks.definitions import DEFINITIONS
 
 SOURCE = Path(__file__).parents[2] / "src" / "wbmpc"
 #: What stands in a name for what is known at run time only.
 ANY = "*"
-FOLDERS = {"tasks": GENERAL, "studies": OF_STUDIES}
+FOLDERS = {"tasks": list(GENERAL), "studies": [name for name in REGISTRY if name not in GENERAL]}
 #: Figures of single pushes, which no report shows.
 INNER = {"push_once.py"}
 

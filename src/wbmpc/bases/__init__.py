@@ -10,10 +10,9 @@
 from __future__ import annotations
 
 from functools import cache, partial
-from importlib import import_module
-from importlib.metadata import entry_points
 
 import wbmpc.mujoco_start  # noqa: F401  (before others import MuJoCo)
+from wbmpc import plugins
 from wbmpc.bases import base
 from wbmpc.bases.base import PARTS, BaseType
 from wbmpc.errors import InputError, unknown_name
@@ -34,8 +33,7 @@ TABLE: dict[str, str] = {
 @cache
 def _locations() -> dict[str, str]:
     """The table and the entry points of installed packages. A built-in name cannot be replaced."""
-    found = {point.name: point.value for point in entry_points(group=GROUP)}
-    return {**found, **TABLE}
+    return {**plugins.offered(GROUP), **TABLE}
 
 
 def available_base_types() -> list[str]:
@@ -52,11 +50,7 @@ def base_type(name: str) -> BaseType:
     locations = _locations()
     if name not in locations:
         raise unknown_name("base type", name, sorted(locations))
-    module, _, attribute = locations[name].partition(":")
-    try:
-        made: BaseType = getattr(import_module(module), attribute)()
-    except (ImportError, AttributeError) as error:
-        raise InputError(f"base type '{name}': its plug-in {locations[name]} cannot be imported: {error}") from error
+    made: BaseType = plugins.load(locations[name], f"base type '{name}': its plug-in")()
     for part in PARTS:  # of a plug-in that does not derive from BaseType
         if not hasattr(made, part):
             setattr(made, part, partial(getattr(BaseType, part), made))

@@ -177,8 +177,7 @@ class Base(Protocol):
 
     ``state``, ``input``, ``parameters``, ``mode``: names by group, of state x (nx), input u (nu), parameters w that hold over the
     horizon and mode values m per node. A state group "base", if there is one, begins with the base's pose: x, y, yaw, or position and
-    quaternion (7). Optional ``state_units`` and ``input_units``: units by group, one text or one for each name;
-    without them none are shown. ``unit_quaternions``: where quaternions begin in x. ``mode_bounds``: lowest and highest
+    quaternion (7). ``unit_quaternions``: where quaternions begin in x. ``mode_bounds``: lowest and highest
     value of groups of ``mode``. ``brakes``: groups of ``mode`` that are brakes (1 open, 0 closed), and the input group each holds.
     ``rolling_groups``: groups of the input that are speeds of wheels, which roll as the base moves; ``steering_groups``: those of joints that
     steer wheels. Both are empty where the input has none.
@@ -186,9 +185,7 @@ class Base(Protocol):
     above it). ``body_height`` [m]: of the body's frame above the floor at home. ``balances``: the robot falls when it is stopped.
     ``wheels``: number of wheels with rows in :meth:`rolling`; 0 if no constraint makes them roll. ``footprint``: None where the
     base does not stand on feet of its own. ``twist`` (3, m): twist of the body's frame (vx, vy, wz) per unit of the base's m speeds, the
-    last of which is the turn. An optional ``jacobian(x, u, w, m)`` gives ẋ and its Jacobian (nx, nx + nu) if they are cheaper than the
-    differentiated ``derivative``. Where there are brakes, an optional ``check_brakes(leg, brake)``
-    raises :class:`InputError` if joints that stay at ``leg`` (n) [rad] with ``brake`` (n, 1 = open) let the base move freely.
+    last of which is the turn. What only some bases have, as units of their state, is in :mod:`wbmpc.bases.optional`.
     """
 
     tree: Tree

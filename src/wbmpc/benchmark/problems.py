@@ -1,17 +1,20 @@
-"""What problems of the race are. Those of ``wbmpc bench`` stand in the studies and are found by name."""
+"""What problems of the race are. Those of ``wbmpc bench`` are found by the entry-point group ``wbmpc.race``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from wbmpc import plugins
+from wbmpc.errors import InputError
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
-from wbmpc.registry import BUILT_IN
 from wbmpc.solver import SQP, Solver
+
+GROUP = "wbmpc.race"
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,15 @@ class RaceProblems:
     sizes: Mapping[str, tuple[Callable[[], SampleProblem], float, float]]
 
 
+@cache
 def race_problems() -> RaceProblems:
-    """Those of the built-in studies."""
-    found: RaceProblems = import_module(f"{BUILT_IN}.race.robots").RACE
-    return found
+    """All that installed packages offer. Raises :class:`InputError` if there are none, or they cannot be imported."""
+    offered = plugins.offered(GROUP)
+    if not offered:
+        raise InputError(f"no installed package offers problems for the race (entry-point group '{GROUP}')")
+    found: list[RaceProblems] = [plugins.load(value, f"race '{name}':") for name, value in offered.items()]
+    return RaceProblems(
+        [make for each in found for make in each.robots],
+        {name: make for each in found for name, make in each.limited.items()},
+        {name: size for each in found for name, size in each.sizes.items()},
+    )

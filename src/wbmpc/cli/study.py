@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wbmpc import plugins
 from wbmpc.cli.directories import resumed_directory
 from wbmpc.cli.terminal import INTERRUPTED, console, printable, progress_bar, table
 from wbmpc.errors import unknown_name
@@ -20,11 +21,16 @@ if TYPE_CHECKING:
     from wbmpc.study.study import Study
     from wbmpc.study.summary import Summary
 
+GROUP = "wbmpc.study_files"
+
 
 def built_in_studies() -> dict[str, Path]:
-    """The studies that come with the package, by name."""
-    spec = find_spec("wbmpc.studies")
-    folders = () if spec is None else spec.submodule_search_locations or ()
+    """The studies that installed packages offer, by name: files one folder below a module of the entry-point group ``wbmpc.study_files``."""
+    folders: list[str] = []
+    for module in plugins.offered(GROUP).values():
+        with suppress(ModuleNotFoundError):  # of a package in which it would be
+            spec = find_spec(module)
+            folders += [] if spec is None else spec.submodule_search_locations or []
     return {path.stem: path for folder in folders for path in sorted(Path(folder).glob("*/*.yaml"))}
 
 

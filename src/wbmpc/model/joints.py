@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds of state (nx) and input (nu); infinite where there is none.
+    """Bounds of state (nx) and input (nu) in their units; infinite where there is none.
 
+    ``state_lower`` (nx), ``state_upper`` (nx), ``input_lower`` (nu), ``input_upper`` (nu) [rad, m, rad/s, m/s];
     ``input_rate`` (nu): how fast an input that is a joint's speed may change [rad/s²]; ``actuator_upper`` (nu): largest command to
     a drive, above ``input_upper`` where it has a reserve to follow the plan.
     """
@@ -64,6 +65,6 @@ def joint_limits(
 
 
 def joint_home(base: Base, description: RobotDescription, groups: Sequence[str]) -> Array:
-    """State (nx) with the joints of ``groups`` where the description's home has them, and zeros elsewhere."""
+    """State (nx) of a ``base`` with the joints of ``groups`` where the description's home has them, and zeros elsewhere."""
     values = {g: [description.home.get(n, 0.0) for n in base.state[g]] for g in groups}
     return Layout(base.state).vector(values)

@@ -56,7 +56,7 @@ def cross(a: SX, b: SX) -> SX:
 
 @dataclass(frozen=True)
 class FramePose:
-    """Position (3) [m], quaternion (4) and rotation matrix (3, 3) of a frame in the world."""
+    """``position`` (3) [m], ``quaternion`` (4) and ``rotation`` matrix (3, 3) of a frame in the world."""
 
     position: SX
     quaternion: SX
@@ -92,8 +92,9 @@ class PointLoad:
 
 
 class Chain:
-    """Links with their symbolic joint values (by link index); ``root``: pose of the root's outer frame in the world; ``load``:
-    a frame and the mass [kg] of a point there."""
+    """``links`` with their symbolic joint ``values`` (by link index); ``root``: pose of the root's outer frame in the world; ``load``:
+    a frame and the mass [kg] of a point there. ``moving``: indices of links with a value; ``places``: how each is joined to its parent.
+    ``gravity`` (3) [m/s²] in the world."""
 
     def __init__(
         self, links: Sequence[Link], values: dict[int, SX], root: FramePose | None = None,

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases import base_type
+from wbmpc.bases.base import Base
+from wbmpc.bases.optional import HasJacobian, HasUnits
 from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.joints import Limits
@@ -24,16 +26,17 @@ Array = NDArray[np.float64]
 POSE_SIZE = 3
 
 
-def layouts(base: Any) -> tuple[Layout, Layout]:
+def layouts(base: Base) -> tuple[Layout, Layout]:
     """Names of state and input of a base, and their units where it says them."""
-    units = getattr(base, "state_units", None), getattr(base, "input_units", None)
-    return Layout(base.state, units[0]), Layout(base.input, units[1])
+    if isinstance(base, HasUnits):
+        return Layout(base.state, base.state_units), Layout(base.input, base.input_units)
+    return Layout(base.state), Layout(base.input)
 
 
 class Dynamics:
     """ẋ = f(x, u; w, m): state, input, parameters that hold over the horizon, and mode values per node. ``base``: the model behind it."""
 
-    def __init__(self, base: Any) -> None:
+    def __init__(self, base: Base) -> None:
         self.base = base
         self.state, self.input = layouts(base)
         self.parameters, self.mode = Layout(base.parameters), Layout(base.mode)
@@ -51,8 +54,8 @@ class Dynamics:
 
     def jacobian(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> tuple[ca.SX, ca.SX]:
         """ẋ and its Jacobian (nx, nx + nu) by [x; u]."""
-        if hasattr(self.base, "jacobian"):
-            return self.base.jacobian(x, u, w, m)  # type: ignore[no-any-return]
+        if isinstance(self.base, HasJacobian):
+            return self.base.jacobian(x, u, w, m)
         f = self(x, u, w, m)
         return f, ca.jacobian(f, ca.vertcat(x, u))
 
@@ -66,7 +69,7 @@ class RobotModel:
 
     def __init__(self, description: RobotDescription) -> None:
         self.description = description
-        self.base: Any = base_type(description.base.type).model(description, load_spec(description))
+        self.base: Base = base_type(description.base.type).model(description, load_spec(description))
         self.tree = self.base.tree
         self.state, self.input = layouts(self.base)
         self.parameters, self.mode = Layout(self.base.parameters), Layout(self.base.mode)
@@ -126,14 +129,12 @@ class RobotModel:
     @cached_property
     def home(self) -> Array:
         """State (nx) with the joints of the description's home."""
-        home: Array = self.base.home(self)
-        return home
+        return self.base.home(self)
 
     @cached_property
     def limits(self) -> Limits:
         """Bounds of state and input."""
-        limits: Limits = self.base.limits(self.description)
-        return limits
+        return self.base.limits(self.description)
 
     def dynamics(self) -> Dynamics:
         """The equations of motion, for an optimal control problem."""

@@ -89,7 +89,7 @@ class Tree:
 
 
 def read_tree(spec: mujoco.MjSpec, root: str, without: tuple[str, ...] = ()) -> Tree:
-    """The tree below the body ``root`` (its own joint, if any, is left to the base model), bodies ``without`` left out."""
+    """The tree of MuJoCo's ``spec`` below the body ``root`` (its own joint, if any, is left to the base model), bodies ``without`` left out."""
     model = spec.compile()
     start = model.body(root).id
     index: dict[int, int] = {}

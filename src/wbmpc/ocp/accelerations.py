@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.optional import HasAcceleration
 from wbmpc.errors import InputError
 from wbmpc.model.augment import InputRate
 from wbmpc.model.robot import RobotModel
@@ -54,7 +55,7 @@ def accelerations(robot: RobotModel, group: str) -> Array:
     """(n) [1/s²] how fast inputs of a group may change, infinite where nothing says it; of a base what its wheels allow."""
     limits = robot.limits
     rates = limits.input_rate[robot.input[group]]
-    if group == "base" and not np.isfinite(rates).all() and hasattr(robot.base, "acceleration"):
+    if group == "base" and not np.isfinite(rates).all() and isinstance(robot.base, HasAcceleration):
         return np.asarray(robot.base.acceleration(limits), float)
     return np.asarray(rates, float)
 

@@ -9,6 +9,7 @@ from typing import Literal
 import casadi as ca
 
 from wbmpc import lie
+from wbmpc.bases.optional import HasContacts
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
@@ -138,7 +139,7 @@ class FrameWrench:
     groups: Mapping[str, slice] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        contacts, name = getattr(self.robot.base, "contacts", {}), self.robot.description.name
+        contacts, name = _contacts(self.robot), self.robot.description.name
         if not contacts:
             raise InputError(
                 f"{name}: there is no contact at '{self.frame}'; a robot with torques as inputs has one when it is loaded "
@@ -161,5 +162,10 @@ class FrameWrench:
         return self.size
 
     def __call__(self, s: Symbols) -> ca.SX:
-        groups = self.robot.base.contacts[self.frame].values()
+        groups = _contacts(self.robot)[self.frame].values()
         return ca.vertcat(*[s.u[self.robot.input[g]] for g in groups]) - s.reference
+
+
+def _contacts(robot: RobotModel) -> Mapping[str, Mapping[str, str]]:
+    """Groups of the input by kind, by contact frame; empty without contacts."""
+    return robot.base.contacts if isinstance(robot.base, HasContacts) else {}

@@ -129,6 +129,7 @@ class RobotDescription(Section):
     the ROS packages that the model names (``package://``), ``xacro_arguments``: of its macros. What ``limits`` does not say of a
     joint's velocity, effort and position, the model does. ``couple``: joints that follow joints of the arm, as the stages of a telescope:
     of each the joint that leads it, or a mapping with ``joint``, ``ratio`` and ``offset``. ``collision``: shapes, and the distances that they keep.
+    ``source``: the file, for messages.
     """
 
     name: Annotated[str, AfterValidator(_robot_name)]

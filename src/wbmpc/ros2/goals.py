@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.optional import mounting
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import nearest_angle, planar, upright
@@ -184,7 +185,8 @@ class Planner:
     def base_pose(self, x: Array) -> tuple[Array, Array]:
         """Position (3) [m] above the floor and quaternion (4) of the base's frame, without its lean."""
         if not self.moves:
-            return self.robot.base.position + [0.0, 0.0, self.lift], self.robot.base.quaternion
+            position, quaternion = mounting(self.robot.base)
+            return position + [0.0, 0.0, self.lift], quaternion
         return upright(x[self.robot.state["base"]], self.base_height)
 
     def _base(self, x: Array) -> Array:
@@ -357,6 +359,6 @@ def _arm(robot: RobotModel) -> tuple[Array, float]:
         link = tree.links[link].parent
     place = tree.zero_poses()[first][0]
     if not robot.description.base.moves:
-        turn = lie.quaternion_to_rotation(robot.base.quaternion)
-        return np.asarray(robot.base.position + turn @ place), length
+        position, quaternion = mounting(robot.base)
+        return np.asarray(position + lie.quaternion_to_rotation(quaternion) @ place), length
     return np.array([*place[:2], robot.base.body_height + robot.base.ground + place[2]]), length

@@ -6,7 +6,7 @@ runs it in one call.
 
 from __future__ import annotations
 
-#: Name -> "module:attribute", in the order of 'wbmpc list'. The entry points in pyproject.toml are the same table.
+#: Name -> "module:attribute", in the order of 'wbmpc list'. Entry points name the same.
 EXPERIMENTS: dict[str, str] = {
     "end-effector-track": "wbmpc.tasks.track:EXPERIMENT",
     "hold": "wbmpc.tasks.hold:EXPERIMENT",

@@ -10,6 +10,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.optional import ChecksBrakes
 from wbmpc.control.protocols import RobotController
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
@@ -278,10 +279,10 @@ class Steering:
     def _click(self, is_open: bool) -> None:
         """Brakes opened or closed by hand; where they would hold the base against nothing, :class:`InputError`."""
         controller = self._controller
-        check = getattr(controller.robot.base, "check_brakes", None)
-        if is_open and check is not None:
+        base = controller.robot.base
+        if is_open and isinstance(base, ChecksBrakes):
             legs = controller.state()[self._leg_part]
-            check(legs, np.ones(legs.size))
+            base.check_brakes(legs, np.ones(legs.size))
         self._legs = None
         self._brakes(is_open)
 

@@ -71,7 +71,7 @@ class Balance:
     @classmethod
     def _about(cls, robot: RobotModel, arm: ArrayLike, directions: int) -> Balance:
         base = ball_base(robot)
-        x, u = robot.base.numeric.equilibrium(arm)
+        x, u = ball_base(robot).numeric.equilibrium(arm)
         a, b, pushed, offset, mass = _linear(robot, base, x, u)
         pole, component = divergent(a, offset)
         effect, answer = (component @ slope / pole for slope in (b, pushed))
@@ -120,7 +120,7 @@ def _linear(robot: RobotModel, base: BallBase, x: Array, u: Array) -> tuple[Arra
     slopes = ca.Function("slopes", [q, v, torque], [ca.densify(p) for p in parts])
     n, wheels = base.nq, len(base.input["wheel"])
     by_q, by_u, by_push, offset = (np.array(s) for s in slopes(x[:n], x[n:], u))
-    own = robot.base.numeric.mass_matrix(x[:n])[:BASE, :BASE]
+    own = ball_base(robot).numeric.mass_matrix(x[:n])[:BASE, :BASE]
     mass = np.linalg.inv(own)
     a = np.block([[np.zeros((BASE, BASE)), np.eye(BASE)], [mass @ by_q[:BASE, :BASE], np.zeros((BASE, BASE))]])
     accelerates = lambda slope: np.vstack([np.zeros((BASE, slope.shape[1])), mass @ slope[:BASE]])

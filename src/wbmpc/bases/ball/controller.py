@@ -12,6 +12,7 @@ from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.model_steps import ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
@@ -63,11 +64,13 @@ class BallController:
         self.observer: DisturbanceObserver | None = None
         if observer:
             self.observer = DisturbanceObserver(
-                self._step, robot.base.numeric.mass_matrix, robot.base.nq, np.array(GATE)
+                self._step, ball_base(robot).numeric.mass_matrix, ball_base(robot).nq, np.array(GATE)
             )
-        self.disturbance = np.zeros(robot.base.nq)
+        self.disturbance = np.zeros(ball_base(robot).nq)
         self.payload = (
-            PayloadEstimator(robot.base.numeric.tool_weight) if observer and "payload" in robot.parameters else None
+            PayloadEstimator(ball_base(robot).numeric.tool_weight)
+            if observer and "payload" in robot.parameters
+            else None
         )
         self.shoves: PushEstimator | None = None
         self.lean_control: LeanControl | None = None
@@ -199,7 +202,7 @@ class BallController:
 
     def _learn(self, t: float, x: np.ndarray, h: float) -> None:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
-        observer, n, model = self.observer, self.robot.base.nq, self._model_steps
+        observer, n, model = self.observer, ball_base(self.robot).nq, self._model_steps
         assert observer is not None
         if model is not None:
             model.learn(t, x, self._acted(), h)

@@ -12,7 +12,7 @@ from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.filter_step import minimal_state
 from wbmpc.bases.ball.joint_tracker import JointTracker
-from wbmpc.bases.ball.model import BallBase
+from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
@@ -111,7 +111,7 @@ class BallEstimator:
             return False
         self._stood += interval
         if self._stood >= STANDS:
-            pitch, roll = self._robot.base.numeric.equilibrium(self.arm.angle)[0][3:5]
+            pitch, roll = ball_base(self._robot).numeric.equilibrium(self.arm.angle)[0][3:5]
             self.filter.correct_lean(lie.euler_zyx_to_rotation(0.0, pitch, roll)[2], self._balance)
             self._balanced = True
         return self._balanced

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc.bases.ball.balance import Balance, load_offset
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import FallPredicted, InputError
 from wbmpc.kernel.function import CompiledFunction
@@ -64,12 +65,12 @@ class FallPredictor:
         self._force = robot.input["force"] if has_force else None
         self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
         self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
-        n, x = robot.base.nq, ca.SX.sym("x", robot.state.size)
+        n, x = ball_base(robot).nq, ca.SX.sym("x", robot.state.size)
         w = ca.SX.zeros(robot.parameters.size)
         mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("push", 2)
         if "payload" in robot.parameters:
             w[robot.parameters["payload"]] = mass
-        offset = load_offset(robot.base, x[:n], w)
+        offset = load_offset(ball_base(robot), x[:n], w)
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
         given = ca.vertcat(x, mass, end_effector)
         function = CompiledFunction(ca.Function("component", [given], [ca.densify(component)]))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.lean_step import BASE, lean_offsets
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import DisturbanceTooLarge
 from wbmpc.kernel.step import Backend, bind
@@ -56,7 +57,7 @@ class LeanControl:
         self._asked, self._answer = tuple[float, ...](), list[float]()
         self.reach = float(self.balance.reach.min())
         self._room = max(MAXIMUM - share, 0.0) * self.reach
-        self._ball_speed = slice(robot.base.nq, robot.base.nq + 2)
+        self._ball_speed = slice(ball_base(robot).nq, ball_base(robot).nq + 2)
         self.reset()
 
     def reset(self) -> None:

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.model_step import accelerate, learn
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.errors import UnsupportedOperation
@@ -39,7 +40,7 @@ class ModelSteps:
         } | solver.integrator  # fmt: skip
         self._accelerate = bind(accelerate, own, backend, nx=nx, at=joints.start, m=m)
         if observer is not None:
-            n = robot.base.nq
+            n = ball_base(robot).nq
             weighing = {name: np.zeros(n) for name in ("weight", "model", "believed", "apart")}
             weighing |= {"load": np.zeros(1), "rule": np.zeros(1)}
             if payload is not None:
@@ -61,7 +62,7 @@ class ModelSteps:
         """None where the solver is interpreted, has other states and inputs than the robot, or the model cannot be compiled."""
         if not isinstance(solver, Solver) or solver.settings.backend == "interpreted":
             return None
-        if solver.problem.nx != robot.state.size or robot.state.size != 2 * robot.base.nq:
+        if solver.problem.nx != robot.state.size or robot.state.size != 2 * ball_base(robot).nq:
             return None
         try:
             return cls(robot, solver, observer, payload)
@@ -87,6 +88,7 @@ class ModelSteps:
 
 def _inertia(robot: RobotModel) -> CompiledFunction:
     """Mass matrix (n n) by rows and weight (n) of 1 kg at the tool, of the coordinates (n)."""
-    base, q = robot.base, ca.SX.sym("q", robot.base.nq)
+    base = ball_base(robot)
+    q = ca.SX.sym("q", base.nq)
     mass, weight = base.mass_matrix(q), base.tool_force(q, ca.SX([0, 0, -9.81]))
     return CompiledFunction(ca.Function("inertia", [q], [ca.densify(ca.vertcat(ca.vec(mass.T), weight))]))

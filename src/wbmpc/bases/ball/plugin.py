@@ -8,7 +8,7 @@ import mujoco
 
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.mechanics import check_ball
-from wbmpc.bases.ball.model import BallBase
+from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.bases.base import BaseType, Calibration, System
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
@@ -54,7 +54,7 @@ class BallBaseType(BaseType):
         """The simulated robot at rest in its equilibrium at home."""
         from wbmpc.bases.ball.plant import BallPlant
 
-        state, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+        state, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
         return BallPlant(robot.description, state, torque, perturbation, seed, edit=edit)
 
     def mpc(

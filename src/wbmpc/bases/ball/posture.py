@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.model.robot import RobotModel
 
 #: Evaluations at most: poses within reach take up to 20, one far out of reach would take hundreds and come no nearer.
@@ -21,7 +22,7 @@ def resting(robot: RobotModel, position: np.ndarray, quaternion: np.ndarray) -> 
     arm, target = robot.home[robot.state["arm"]], lie.quaternion_conjugate(quaternion)
 
     def state(z: np.ndarray) -> np.ndarray:
-        x = robot.base.numeric.equilibrium(z[3:], yaw=float(z[2]))[0]
+        x = ball_base(robot).numeric.equilibrium(z[3:], yaw=float(z[2]))[0]
         x[:2] = z[:2]
         return x
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.balance import Balance, load_offset
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.push_step import take_in
 from wbmpc.checks import not_negative, numbers, positive_time
 from wbmpc.errors import NotFinite
@@ -39,8 +40,9 @@ class PushEstimator:
     ) -> None:
         not_negative("push estimator", expected_push_time=expected_push_time)
         arm = numbers("push estimator", "arm", arm, len(robot.state.groups["arm"]))
-        n, q = robot.base.nq, ca.SX.sym("q", robot.base.nq)
-        offset = load_offset(robot.base, q, ca.SX.zeros(robot.parameters.size))
+        base = ball_base(robot)
+        n, q = base.nq, ca.SX.sym("q", base.nq)
+        offset = load_offset(base, q, ca.SX.zeros(robot.parameters.size))
         pole = Balance.of(robot, arm).pole
         # by rows
         slope = ca.Function("slope", [q], [ca.vec(ca.densify(ca.jacobian(offset, q)).T) / pole])

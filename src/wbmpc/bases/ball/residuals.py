@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.bases.ball.balance import load_offset
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import finite
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
@@ -26,8 +27,8 @@ class BallSpin:
     groups = {"torque": slice(0, 1)}  # noqa: RUF012
 
     def __call__(self, s: Symbols) -> ca.SX:
-        up = self.robot.base.root(s.x[: self.robot.base.nq]).rotation[2, :]
-        return up @ ca.DM(self.robot.base.wheel_torque_map()) @ s.u[self.robot.input["wheel"]]
+        up = self.robot.base.root(s.x[: ball_base(self.robot).nq]).rotation[2, :]
+        return up @ ca.DM(ball_base(self.robot).wheel_torque_map()) @ s.u[self.robot.input["wheel"]]
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,9 @@ class CapturePoint:
         return {"offset": slice(0, self.directions)}
 
     def __call__(self, s: Symbols) -> ca.SX:
-        n = self.robot.base.nq
-        offset = load_offset(self.robot.base, s.x[:n], s.parameters)
+        base = ball_base(self.robot)
+        n = base.nq
+        offset = load_offset(base, s.x[:n], s.parameters)
         slope = ca.jacobian(offset, s.x[:n])
         angles = np.pi * np.arange(self.directions) / self.directions
         along = np.round([np.cos(angles), np.sin(angles)], 15).T  # exact zeros
@@ -101,7 +103,8 @@ class JointEffort:
         return len(self.robot.state.groups["arm"])
 
     def __call__(self, s: Symbols) -> ca.SX:
-        base, n = self.robot.base, self.robot.base.nq
+        base = ball_base(self.robot)
+        n = base.nq
         rest, w = ca.SX(n, 1), s.parameters
         net = base.generalized_force(s.x[:n], s.u, w) - base.inverse_dynamics(s.x[:n], rest, rest, w)
         return net[n - self.size :]

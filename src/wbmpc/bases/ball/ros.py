@@ -15,6 +15,7 @@ from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, rezero_problem
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter_state import BallNoise
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.ros_settings import BallRosSettings
@@ -131,8 +132,8 @@ class BusBallController(BallController):
         force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
         if moment.any():
             assert self.measured is not None
-            disturbance = disturbance + self.robot.base.numeric.tool_moment(
-                self.measured.state[: self.robot.base.nq], moment
+            disturbance = disturbance + ball_base(self.robot).numeric.tool_moment(
+                self.measured.state[: ball_base(self.robot).nq], moment
             )
         return {**super().parameters(), "disturbance": disturbance, "force": force}
 
@@ -152,7 +153,7 @@ def held(policy: Policy, robot: RobotModel, t: float) -> Policy:
     """Rest, forever, where a policy plans to be at t [s]: the equilibrium for its arm, with the policy's first gain, which
     looks farthest ahead (the last ones end with the horizon)."""
     planned = policy.state(t)
-    rest, torque = robot.base.numeric.equilibrium(planned[robot.state["arm"]])
+    rest, torque = ball_base(robot).numeric.equilibrium(planned[robot.state["arm"]])
     rest = rest.copy()
     rest[:3] = planned[:3]
     u = np.zeros(policy.u.shape[1])
@@ -230,10 +231,10 @@ class BallRosAdapter(BaseAdapter):
         self._standing: tuple[float, Array] | None = None  # time [s] of the clock behind the runner's, state
         self._answer, self._series = np.zeros(6), Series()
         self.parameters = lambda: self._model.solver.parameters
-        self._torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])[1]
+        self._torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])[1]
         robot.pose(robot.home)  # builds the functions: not in a tick
-        robot.base.numeric.mass_matrix(robot.home[: robot.base.nq])
-        robot.base.numeric.tool_moment(robot.home[: robot.base.nq], np.zeros(3))
+        ball_base(robot).numeric.mass_matrix(robot.home[: ball_base(robot).nq])
+        ball_base(robot).numeric.tool_moment(robot.home[: ball_base(robot).nq], np.zeros(3))
         self._model.solver.simulate(robot.home, self._torque, period)
         resting(robot, *robot.pose(robot.home))
         self._push = (
@@ -316,7 +317,7 @@ class BallRosAdapter(BaseAdapter):
         if fix is None and previous is not None and np.abs(previous[1][self.robot.state["arm"]] - m.arm).max() < 1e-3:
             self._standing = m.time + m.origin, previous[1]
             return
-        x = self.robot.base.numeric.equilibrium(m.arm)[0].copy()
+        x = ball_base(self.robot).numeric.equilibrium(m.arm)[0].copy()
         x[:3] = self._place
         self._standing = m.time + m.origin, x
 
@@ -337,7 +338,7 @@ class BallRosAdapter(BaseAdapter):
     def begin(self, x: Array) -> None:
         """A new run: the robot stands upright and at rest, where it was last."""
         last = self.snapshot()
-        rest, self._torque = self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]])
+        rest, self._torque = ball_base(self.robot).numeric.equilibrium(x[self.robot.state["arm"]])
         self._place = x[:3].copy()
         start = rest.copy()
         start[:3] = self._place
@@ -373,7 +374,7 @@ class BallRosAdapter(BaseAdapter):
         seen = self.snapshot()
         if seen is None:
             return None
-        x, nq = seen[1], self.robot.base.nq
+        x, nq = seen[1], ball_base(self.robot).nq
         rotation = lie.euler_zyx_to_rotation(*x[2:5])
         estimator = self.controller.estimator
         assert estimator is not None

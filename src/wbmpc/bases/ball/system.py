@@ -9,6 +9,7 @@ import numpy as np
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
@@ -34,7 +35,7 @@ COMPUTATION_DELAY = 0.010
 def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
     """The MPC whose goal is the equilibrium at home; ``changes`` of its settings."""
     settings = MpcSettings(**{**mpc_settings(barrier_mu=3e-2).model_dump(), **changes})
-    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES, obstacles)
     mpc.reference["body"] = Reference.constant(robot.home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
@@ -47,7 +48,7 @@ def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: A
 def make_system(robot: RobotModel, plant: BallPlant, mpc: MPC) -> System:
     """Controller of a plant that rests in its equilibrium."""
     arm = robot.home[robot.state["arm"]]
-    _, torque = robot.base.numeric.equilibrium(arm)
+    _, torque = ball_base(robot).numeric.equilibrium(arm)
     timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
     controller = BallController(robot, mpc, torque, timing.period, DriveSettings(DRIVE_LAG))
     controller.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.torque_step import limit_torques
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
@@ -19,7 +20,7 @@ class TorqueLimits:
     the ball under a base that stands upright."""
 
     def __init__(self, robot: RobotModel, size: int, backend: Backend = "compiled") -> None:
-        effect = robot.base.wheel_torque_map()
+        effect = ball_base(robot).wheel_torque_map()
         self.limit: Array = np.array(robot.limits.input_upper[:size], float)
         self.spin: Array = effect[2]
         n = self.spin.size

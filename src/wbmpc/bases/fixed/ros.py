@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc.bases.fixed.ros_settings import FixedRosSettings
+from wbmpc.bases.optional import mounting
 from wbmpc.control.direct import DirectController, InputCommand, StateMeasurement
 from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay_at_home
 from wbmpc.model.robot import RobotModel
@@ -100,4 +101,4 @@ class FixedRosAdapter(BaseAdapter):
         if self.controller.measured is None:
             return None
         none = np.zeros((6, 6))
-        return Estimate(self.robot.base.position, self.robot.base.quaternion, np.zeros(6), none, none)
+        return Estimate(*mounting(self.robot.base), np.zeros(6), none, none)

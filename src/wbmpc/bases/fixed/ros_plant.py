@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.bases.optional import mounting
 from wbmpc.control.direct import InputCommand
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.types import Truth
@@ -33,4 +34,4 @@ class FixedRosPlant(RosPlant):
 
     def base(self, truth: Truth) -> tuple[Array, Array]:
         """Position and quaternion of the base."""
-        return self.robot.base.position, self.robot.base.quaternion
+        return mounting(self.robot.base)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -10,6 +11,9 @@ import numpy as np
 from wbmpc.model.kinematics import constant
 from wbmpc.ocp.residuals import AccelerationLimit
 from wbmpc.ocp.symbols import Symbols
+
+if TYPE_CHECKING:
+    from wbmpc.bases.planar_motion.model import PlanarBase
 
 
 @dataclass(frozen=True)
@@ -19,7 +23,10 @@ class WheelAccelerationLimit(AccelerationLimit):
     Rows: below the upper bounds of the limited wheels (n), above the lower ones (n). Reference, time and ``share``: see
     :class:`wbmpc.residuals.AccelerationLimit`. Its limits of the base's single speeds would allow a speed ahead and a turn at once what
     wheels can do for one of them; a controller slows everything down then, the arm too, and what the arm does is not what was planned.
+    ``base``: the robot's, whose wheels they are.
     """
+
+    base: PlanarBase = field(kw_only=True, repr=False)
 
     @property
     def size(self) -> int:
@@ -33,11 +40,11 @@ class WheelAccelerationLimit(AccelerationLimit):
 
     @property
     def row_names(self) -> list[str]:
-        wheels = np.flatnonzero(np.isfinite(self.robot.base.wheel_acceleration))
+        wheels = np.flatnonzero(np.isfinite(self.base.wheel_acceleration))
         return [f"wheel {i} {side}" for side in ("upper", "lower") for i in wheels]
 
     def __call__(self, s: Symbols) -> ca.SX:
-        base, limits, m = self.robot.base, self.robot.limits, len(self.inputs)
+        base, limits, m = self.base, self.robot.limits, len(self.inputs)
         limited = np.isfinite(base.wheel_acceleration)
         rates, since = base.rates[limited], s.reference[m]
         span = np.abs(rates) @ (limits.input_upper - limits.input_lower)[self.inputs]

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar_motion.model import planar_base
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
@@ -55,7 +56,7 @@ class PlanarController:
     @classmethod
     def make_odometry(cls, robot: RobotModel, pose: Array, wheels: WheelErrors | None = None) -> PlanarOdometry:
         """What finds the way of this base by its wheels, from ``pose`` (3) on."""
-        return PlanarOdometry(robot.base.twist, robot.base.rates, pose, wheels)
+        return PlanarOdometry(robot.base.twist, planar_base(robot).rates, pose, wheels)
 
     # ------------------------------------------------------------------ estimation
     def measure(self, measurement: PlanarMeasurement) -> None:
@@ -137,7 +138,7 @@ class PlanarController:
         """Everything at rest. The next plan's commands start from there, as fast as accelerations allow."""
         self._note(np.zeros(self.robot.input.size))
         self.target, self.clamped = np.zeros(self.robot.input.size), False
-        return PlanarCommand.stop(len(self.robot.base.rates), len(self.robot.input.groups["arm"]))
+        return PlanarCommand.stop(len(planar_base(self.robot).rates), len(self.robot.input.groups["arm"]))
 
     def command(self, t: float, plans: PolicyQueue) -> PlanarCommand:
         """Drive speeds for this tick; a stop once the plan has run out.
@@ -156,7 +157,7 @@ class PlanarController:
 
     def wheel_matrix(self) -> Array:
         """(n, m): wheel rates by the inputs that turn wheels."""
-        return self.odometry.wheels.corrected(self.robot.base.rates)
+        return self.odometry.wheels.corrected(planar_base(self.robot).rates)
 
     def _note(self, sent: Array) -> None:
         self.sent = sent
@@ -166,7 +167,7 @@ class PlanarController:
         """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period, all drives by
         the same share; then the base's speeds scaled so that every wheel keeps its limit. Wheels that are limited one by one drag
         each other. Also whether they were scaled."""
-        base, part, rates = self.robot.base, self._moving, self.wheel_matrix()
+        base, part, rates = planar_base(self.robot), self._moving, self.wheel_matrix()
         step = u - sent
         steps = np.abs(np.concatenate([rates @ step[part], step]))
         maximum = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate]) * self.period

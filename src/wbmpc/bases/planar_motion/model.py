@@ -168,7 +168,7 @@ class PlanarBase:
             rows = residuals.Expression(int(limited.sum()), lambda s: shares @ s.u[:m])
             found.append(Constraint("wheels", rows, sets.Box(-1.0, 1.0), hard=hard))
         if np.isfinite(self.wheel_acceleration).any():
-            change = WheelAccelerationLimit(robot, ["base"], ACCELERATION_SHARE)
+            change = WheelAccelerationLimit(robot, ["base"], ACCELERATION_SHARE, base=self)
             found.append(
                 Constraint("wheel_accelerations", change, sets.NonNegative(), hard=True, slack=ACCELERATION_SLACK)
             )
@@ -194,3 +194,13 @@ class PlanarBase:
     def home(self, robot: RobotModel) -> Array:
         """The arm at the description's home, the body at the origin."""
         return joint_home(self, robot.description, self._groups)
+
+
+def planar_base(robot: RobotModel) -> PlanarBase:
+    """The base of a robot that moves in the plane by wheels. Raises :class:`InputError` for one of another kind."""
+    if not isinstance(robot.base, PlanarBase):
+        kind = robot.description.base.type
+        raise InputError(
+            f"{robot.description.name}: a base that moves in the plane is needed, it has one of type '{kind}'"
+        )
+    return robot.base

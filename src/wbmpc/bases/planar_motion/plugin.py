@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.base import Base, BaseType, Calibration, System
 from wbmpc.bases.planar_motion.calibration import fit_errors
-from wbmpc.bases.planar_motion.model import PlanarBase
+from wbmpc.bases.planar_motion.model import PlanarBase, planar_base
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.bases.planar_motion.wheels import FixedWheels, check_wheels, read_wheels, wheel_radius
 from wbmpc.model.robot import RobotModel
@@ -98,7 +98,7 @@ class PlanarBaseType(BaseType):
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
         """Radii, and what the base's speeds are by them."""
         odometry = lambda wheels: self.controller().make_odometry(robot, np.zeros(3), wheels)
-        size = robot.base.wheel_upper.size, robot.base.twist.shape[1]
+        size = planar_base(robot).wheel_upper.size, robot.base.twist.shape[1]
         return vars(fit_errors(odometry, size, channels, source))
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:

@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.planar_motion.model import planar_base
 from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
 from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay_at_home
 from wbmpc.model.robot import RobotModel
@@ -113,7 +114,8 @@ class BusController(PlanarController):
             self.covariance = np.zeros((3, 3))
 
     def _restarted(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
-        upper = np.where(np.isfinite(self.robot.base.wheel_upper), self.robot.base.wheel_upper, 1e3)
+        upper = planar_base(self.robot).wheel_upper
+        upper = np.where(np.isfinite(upper), upper, 1e3)
         return bool(np.any(np.abs(now.wheel - last.wheel) > 2.0 * upper * max(interval, 0.0) + REST))
 
     def _note_motion(self, before: Array, interval: float) -> None:

@@ -114,12 +114,14 @@ class BrakeControl:
         delay: float = 0.0,
         changed: Callable[[ModeSchedule], None] | None = None,
     ) -> None:
-        if "brake" not in robot.mode:
+        footprint = robot.base.footprint
+        geometry = None if footprint is None else footprint.modules
+        if "brake" not in robot.mode or geometry is None:
             raise InputError(f"{robot.description.name}: its legs have no brakes")
         if not 0.0 <= delay < np.inf:
             raise InputError(f"brakes: the delay must be finite and not negative, got {delay} s")
         self.legs, self.delay, self.changed = robot.state.groups["leg"], delay, changed
-        self.geometry = robot.base.geometry
+        self.geometry = geometry
         self.arrivals: Callable[[float], Array] | None = None
         self._fastest = np.minimum(robot.limits.input_upper[robot.input["leg"]], _AT_ONCE)
         closed = np.zeros(len(self.legs))

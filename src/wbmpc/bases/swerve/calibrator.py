@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from wbmpc.bases.swerve.calibration import WheelFit, fit_wheels
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.errors import InputError
 from wbmpc.estimation.arm_calibration import calibrate_arm
@@ -24,7 +25,7 @@ class SwerveCalibrator:
     """See :class:`wbmpc.bases.calibrator.Calibrator`."""
 
     def __init__(self, robot: RobotModel) -> None:
-        self.names, self.geometry, self._robot = steer_joints(robot), robot.base.geometry, robot
+        self.names, self.geometry, self._robot = steer_joints(robot), swerve_base(robot).geometry, robot
         self.robot = robot.description.name
 
     def fit(self, channels: Mapping[str, np.ndarray], prior: WheelCalibration, source: str) -> WheelFit:

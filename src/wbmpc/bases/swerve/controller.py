@@ -12,6 +12,7 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import Brakes, BrakeSupervision, SupervisionSettings
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.prediction import SwervePrediction
 from wbmpc.bases.swerve.tracking import SwerveTracking, TrackingSettings
 from wbmpc.checks import positive
@@ -46,7 +47,7 @@ class SwerveController:
         positive("swerve robot's controller", period=period)
         self.robot, self.period = robot, period
         estimation = estimation or EstimatorSettings()
-        geometry = robot.base.geometry
+        geometry = swerve_base(robot).geometry
         wheels = estimation.calibration or WheelCalibration.unknown(geometry)
         # the model has one radius for all wheels
         self.wheel_scale = geometry.wheel_radius / wheels.wheel_radius
@@ -117,7 +118,7 @@ class SwerveController:
         """Everything at rest, brakes closed. The next plan's commands start from there, as fast as accelerations allow."""
         self.supervision.stop(None if self.measured is None else self.measured.leg)
         self.tracking.rest()
-        still = SwerveCommand.stop(self.robot.base.geometry.modules, len(self.robot.input.groups["arm"]))
+        still = SwerveCommand.stop(swerve_base(self.robot).geometry.modules, len(self.robot.input.groups["arm"]))
         return still if "leg" in self.robot.input else replace(still, brake=np.zeros(0))
 
     def command(self, t: float, plans: PolicyQueue) -> SwerveCommand:

@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.default_problem import ACCELERATION_SLACK, keep_apart, keep_clear, keep_upright, make_mpc
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
@@ -97,7 +98,7 @@ def swerve_problem(
     )
     ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))
-    for constraint in robot.base.constraints(robot, side_softness, allow_side_slip=allow_side_slip):
+    for constraint in swerve_base(robot).constraints(robot, side_softness, allow_side_slip=allow_side_slip):
         ocp.add(constraint)
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     limits = robot.limits

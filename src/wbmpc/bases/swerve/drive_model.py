@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import learn_sag
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
@@ -26,7 +27,7 @@ class DriveModel:
 
     def __init__(self, robot: RobotModel, period: float, lag: float, planned_steering: bool) -> None:
         self.lag, self.blend = lag, lag_share(period, lag)
-        self.arrays = {"rates": np.zeros(robot.input.size), "turning": np.zeros(robot.base.geometry.modules)}
+        self.arrays = {"rates": np.zeros(robot.input.size), "turning": np.zeros(swerve_base(robot).geometry.modules)}
 
     @property
     def rates(self) -> Array:

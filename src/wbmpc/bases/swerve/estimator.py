@@ -11,6 +11,7 @@ from wbmpc import lie
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
 from wbmpc.bases.swerve.smooth_step import smooth_pose
@@ -70,7 +71,7 @@ class SwerveEstimator:
     ) -> None:  # fmt: skip
         self.robot, self.use_gyro = robot, settings.use_gyro
         self._drives, self._arm_drives, self._side_slip = drives, arm_drives, side_slip
-        geometry = robot.base.geometry
+        geometry = swerve_base(robot).geometry
         wheels = self.calibration = settings.calibration or WheelCalibration.unknown(geometry)
         self._known = known_weights(wheels)
         self.odometry = FusedOdometry(geometry, pose, calibration=wheels, noise=settings.noise)
@@ -134,7 +135,7 @@ class SwerveEstimator:
 
     def _weights(self) -> Array | None:
         """The same where there is no accelerometer."""
-        known = [False] * self.robot.base.geometry.modules
+        known = [False] * swerve_base(self.robot).geometry.modules
         if self._side_slip is not None:
             known = [left > 0.0 for left in self._side_slip.left.tolist()]
         odd = known

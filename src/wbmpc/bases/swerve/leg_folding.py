@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.clearance.nearest import Finder, Poses
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -49,7 +50,7 @@ class LegFolding:
         self._finder = Finder(robot_geometry(robot), REACH, deep=False)
         self._leg = robot.state["leg"]
         self._of_leg, self._body = self._parts()
-        geometry = robot.base.geometry
+        geometry = swerve_base(robot).geometry
         asked = robot.home[self._leg]
         straight = np.round((geometry.leg_heading + asked) / np.pi) * np.pi - geometry.leg_heading
         limits = robot.limits

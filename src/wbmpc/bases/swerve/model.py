@@ -356,3 +356,11 @@ class SwerveBase:
         if self.quaternion:
             x[:7] = [0, 0, self.body_height, 1, 0, 0, 0]
         return x
+
+
+def swerve_base(robot: RobotModel) -> SwerveBase:
+    """The base of a robot with steered wheels. Raises :class:`InputError` for one of another type."""
+    if not isinstance(robot.base, SwerveBase):
+        kind = robot.description.base.type
+        raise InputError(f"{robot.description.name}: a base of type swerve is needed, it has one of type '{kind}'")
+    return robot.base

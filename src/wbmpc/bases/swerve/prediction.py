@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.estimator import SwerveEstimator
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking import SwerveTracking
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import aligned_steering
@@ -58,7 +59,7 @@ class SwervePrediction:
             return x
         # Wheels that have no common center can only stand: the first plan starts from the nearest that have one.
         measured, leg = self._estimator.steer, self._estimator.leg
-        aligned = aligned_steering(self.robot.base.geometry, leg if leg.size else 0.0, measured)
+        aligned = aligned_steering(swerve_base(self.robot).geometry, leg if leg.size else 0.0, measured)
         if np.abs(aligned - measured).max() > CROOKED:
             x[steer] = aligned
         return x

@@ -18,6 +18,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.ros_legs import Legs, Now
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
@@ -352,7 +353,7 @@ def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = 
 
 def swing_guess(robot: RobotModel, legs: Array, x0: Array, trajectory: Trajectory) -> Trajectory:
     """Trajectories of a base that stands while its wheels turn to the legs' circles and the legs then go to ``legs`` (n)."""
-    state, inputs, geometry = robot.state, robot.input, robot.base.geometry
+    state, inputs, geometry = robot.state, robot.input, swerve_base(robot).geometry
     x, u, steer, leg = trajectory.x, trajectory.u, x0[state["steer"]].copy(), x0[state["leg"]].copy()
     lower, upper = robot.limits.state_lower[state["steer"]], robot.limits.state_upper[state["steer"]]
     maximum = 0.6 * robot.limits.input_upper[inputs["steer"]]

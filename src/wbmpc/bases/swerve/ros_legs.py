@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.brake_control import BrakeControl, reject_floating, reject_floating_way
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
@@ -179,7 +180,7 @@ class Legs:
 
     def _reject(self, goal: Array, moving: Array, state: Array, leg: Array) -> None:
         """Raise :class:`InputError` where open legs would hold the base against nothing, at rest or for long on the way."""
-        geometry = self.robot.base.geometry
+        geometry = swerve_base(self.robot).geometry
         if not moving.any():
             reject_floating(geometry, leg, state)
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import wheel_velocities
 
@@ -16,8 +17,8 @@ class SideSlip:
     every ``period`` [s]: ``left`` (n) [s], for how long each still does."""
 
     def __init__(self, robot: RobotModel, period: float) -> None:
-        self._geometry, self._input, self._period = robot.base.geometry, robot.input, period
-        self.left = np.zeros(robot.base.geometry.modules)
+        self._geometry, self._input, self._period = swerve_base(robot).geometry, robot.input, period
+        self.left = np.zeros(swerve_base(robot).geometry.modules)
 
     def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
         """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""

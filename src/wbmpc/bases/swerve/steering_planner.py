@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
 from wbmpc.solver import Trajectory
@@ -260,7 +261,7 @@ class SteeringGuess:
         """First node from which on a wheel of the plan points elsewhere than the preview's ``twists`` ask for."""
         grid, steer = trajectory.grid, x0[self.robot.state["steer"]]
         leg, swing = self._legs(trajectory, grid)
-        ways, speeds = wheel_directions(self.robot.base.geometry, leg, steer, twists, swing)
+        ways, speeds = wheel_directions(swerve_base(self.robot).geometry, leg, steer, twists, swing)
         off = np.abs(_wrapped(ways - trajectory.x[:, self.robot.state["steer"]])) > OFF
         off &= speeds > ROLLS
         since = np.full(off.shape[1], np.nan)
@@ -275,13 +276,13 @@ class SteeringGuess:
         times, steer = np.linspace(0.0, horizon, NODES), x0[self.robot.state["steer"]].copy()
         twists = self.preview(t + times, x0[self.robot.state["base"]])
         leg, swing = self._legs(trajectory, times)
-        return plan_steering(self.robot.base.geometry, leg, steer, times, twists, self.limits, self.rate, swing)
+        return plan_steering(swerve_base(self.robot).geometry, leg, steer, times, twists, self.limits, self.rate, swing)
 
     def _legs(self, trajectory: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angles and rates (k, n) of the legs in a plan at ``times`` (k) [s] after its start."""
         state, inputs = self.robot.state, self.robot.input
         if "leg" not in state:
-            still = np.zeros((len(times), self.robot.base.geometry.modules))
+            still = np.zeros((len(times), swerve_base(self.robot).geometry.modules))
             return still, still
         grid = trajectory.grid
         k = np.clip(np.searchsorted(grid, times, side="right") - 1, 0, len(grid) - 2)
@@ -293,7 +294,7 @@ class SteeringGuess:
         rests: bool = False,
     ) -> Trajectory:  # fmt: skip
         """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``; ``rests``: all but the wheels."""
-        state, inputs, geometry = self.robot.state, self.robot.input, self.robot.base.geometry
+        state, inputs, geometry = self.robot.state, self.robot.input, swerve_base(self.robot).geometry
         grid, x, u = trajectory.grid, trajectory.x.copy(), trajectory.u.copy()
         found = replace(trajectory, x=x, u=u)
         legs, swings = self._legs(trajectory, grid)

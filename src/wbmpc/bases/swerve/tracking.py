@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.tracking_step import integrate, predict, simulate_drives, track
 from wbmpc.checks import not_negative
@@ -61,7 +62,7 @@ class SwerveTracking:
         backend: Backend = "compiled",
     ) -> None:
         self.robot, self.period, self.settings = robot, period, settings
-        modules = robot.base.geometry.modules
+        modules = swerve_base(robot).geometry.modules
         groups = ("wheel", "steer") if settings.friction else ()
         self.friction = {g: DryFriction(modules, period, settings.lag, backend) for g in groups}
         self.drives = DriveModel(robot, period, settings.lag, settings.planned_steering)
@@ -78,7 +79,7 @@ class SwerveTracking:
     def _memory(self, wheel_scale: Array) -> dict[str, Array]:
         """Arrays by the names of fields in :mod:`wbmpc.bases.swerve.tracking_step`."""
         robot, limits = self.robot, self.robot.limits
-        n, nu, steer = robot.base.geometry.modules, robot.input.size, robot.state["steer"]
+        n, nu, steer = swerve_base(robot).geometry.modules, robot.input.size, robot.state["steer"]
         own = {name: np.zeros(nu) for name in ("u", "sent", "future", "ahead", "moved", "excess")}
         own |= {name: np.zeros(n) for name in ("planned", "measured", "brake", "error", "wheels", "leg_rates")}
         values = {
@@ -98,7 +99,7 @@ class SwerveTracking:
         s, inputs, state, blend = self.settings, self.robot.input, self.robot.state, self.drives.blend
         groups = ("base", "leg", "steer", "wheel", "arm")
         law = {
-            "nu": inputs.size, "n": self.robot.base.geometry.modules, "legs": len(inputs.groups.get("leg", ())),
+            "nu": inputs.size, "n": swerve_base(self.robot).geometry.modules, "legs": len(inputs.groups.get("leg", ())),
             "m": len(inputs.groups["arm"]), **{g: inputs[g].start if g in inputs else 0 for g in groups},
             **{f"x_{g}": state[g].start if g in state else 0 for g in groups}, "period": self.period, "lag": s.lag, "blend": blend,
             "late": blend * s.lag / self.period, "gain": s.steer_gain, "align_gain": ALIGN_GAIN,

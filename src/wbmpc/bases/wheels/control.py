@@ -12,7 +12,7 @@ from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
-from wbmpc.bases.wheels.model import WheelsBase
+from wbmpc.bases.wheels.model import WheelsBase, wheels_base
 from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -76,16 +76,17 @@ class WheelsController(PlanarController):
 
     def __init__(self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, **options: Any) -> None:
         super().__init__(robot, pose, period, lag, **options)
-        self._size = robot.base.twist.shape[1] + robot.base.steering
+        steering = wheels_base(robot).steering
+        self._size = robot.base.twist.shape[1] + steering
         self._moving = slice(0, self._size)
-        self._steer = robot.input["steer"] if robot.base.steering else slice(0, 0)
-        self.planned: Array = np.zeros(robot.base.steering)
+        self._steer = robot.input["steer"] if steering else slice(0, 0)
+        self.planned: Array = np.zeros(steering)
         self._placed = False  # whether planned angles have begun from measured ones
 
     @classmethod
     def make_odometry(cls, robot: RobotModel, pose: Array, wheels: WheelErrors | None = None) -> WheelsOdometry:
         """Wheel odometry of this base that starts at ``pose`` (3)."""
-        return WheelsOdometry(robot.base, pose, wheels)
+        return WheelsOdometry(wheels_base(robot), pose, wheels)
 
     def measure(self, measurement: PlanarMeasurement) -> None:
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
@@ -105,7 +106,8 @@ class WheelsController(PlanarController):
 
     def wheel_matrix(self) -> Array:
         """(n, m + s): rates of driven wheels by the base's input and the steering rates, at the planned steering angles."""
-        rows = np.asarray(self.robot.base.by_input(self.robot.base.matrices(self.planned)[0]))
+        base = wheels_base(self.robot)
+        rows = np.asarray(base.by_input(base.matrices(self.planned)[0]))
         return self.odometry.wheels.corrected(rows)
 
     def stop(self) -> PlanarCommand:
@@ -113,8 +115,9 @@ class WheelsController(PlanarController):
         super().stop()
         if self.measured is not None:
             self.planned = np.array(self.measured.steer, float)
-        driven = sum(c.driven for c in self.robot.base.wheel_contacts)
-        return PlanarCommand.stop(driven, len(self.robot.input.groups["arm"]), self.robot.base.steering)
+        base = wheels_base(self.robot)
+        driven = sum(c.driven for c in base.wheel_contacts)
+        return PlanarCommand.stop(driven, len(self.robot.input.groups["arm"]), base.steering)
 
     def command(self, t: float, plans: PolicyQueue) -> PlanarCommand:
         """Drive speeds for this tick; a stop once the plan has run out."""

@@ -202,3 +202,11 @@ class WheelsBase(PlanarBase):
                 Constraint("wheels", residuals.Expression(len(limited), rates), sets.Box(-1.0, 1.0), hard=hard)
             )
         return found
+
+
+def wheels_base(robot: RobotModel) -> WheelsBase:
+    """The base of a robot on any wheels. Raises :class:`InputError` for one of another type."""
+    if not isinstance(robot.base, WheelsBase):
+        kind = robot.description.base.type
+        raise InputError(f"{robot.description.name}: a base of type wheels is needed, it has one of type '{kind}'")
+    return robot.base

@@ -12,6 +12,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.configuration import OnlyWith, kind_alone
 from wbmpc.model.robot import RobotModel
@@ -253,7 +254,10 @@ def _taskspace(settings: RezeroSettings, p: Parts) -> TaskSpaceController:
         pose = p.mpc.reference["end_effector"].at(t)
         return pose[:3], pose[3:]
 
-    home, gains = p.robot.base.numeric.equilibrium(p.arm)[0], TaskGains(**settings.baseline.taskspace.model_dump())
+    home, gains = (
+        ball_base(p.robot).numeric.equilibrium(p.arm)[0],
+        TaskGains(**settings.baseline.taskspace.model_dump()),
+    )
     more = (p.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance, p.estimator)
     controller = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
     controller.stance = lambda t: p.mpc.reference["body"].at(t)
@@ -281,7 +285,7 @@ def _separate(settings: RezeroSettings, p: Parts) -> tuple[SeparateController, M
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral), aware=name == "separate-aware",
     )  # fmt: skip
     controller.forecast = _felt(p)
-    home = p.robot.base.numeric.equilibrium(p.arm)[0]
+    home = ball_base(p.robot).numeric.equilibrium(p.arm)[0]
     planner.reset(controller.believed(home), p.torque[p.robot.input["wheel"]])
     return controller, planner
 
@@ -290,7 +294,7 @@ def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: RegulatorS
     """The MPC's weights, times the baseline's factors, for a regulator."""
     h, b, t = settings.cost.end_effector, settings.cost.body, settings.cost.torque
     fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
-    arm, joints = r.posture * np.array([b.arm, b.arm_rate]), robot.base.nq - 5
+    arm, joints = r.posture * np.array([b.arm, b.arm_rate]), ball_base(robot).nq - 5
     state = robot.state.vector({
         "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "arm": [arm[0]] * joints,
         "base_velocity": [fast, fast, b.yaw_rate, tilt, tilt], "arm_velocity": [arm[1]] * joints,

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.configuration import OnlyWith, Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
@@ -59,7 +60,7 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
         settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
     robot = ball_robot(settings)
     arm = bent_arm(settings, robot)
-    home = robot.base.numeric.equilibrium(arm)[0]
+    home = ball_base(robot).numeric.equilibrium(arm)[0]
     duration = settings.settle_time + settings.rounds * settings.lap_time + 3.0
     grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
     body = np.tile(home, (grid.size, 1))

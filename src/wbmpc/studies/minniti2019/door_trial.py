@@ -11,6 +11,7 @@ import numpy as np
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.experiment import Loop
 from wbmpc.log import Log
@@ -97,7 +98,7 @@ def push_door(
 ) -> Trial:
     """One run with the reference ``force`` [N], before a door that is ``made``."""
     robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
-    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0]).moved(-settings.scheme.nearer)
     push = settings.push or default_push_cost(settings.scheme)
     mpc = MPC(

@@ -11,6 +11,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_problem, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -55,7 +56,7 @@ def drive(
 ) -> Outcome:
     """One variant over the step and back; channels are CHANNEL_NAME (none if it ended before its first record)."""
     robot = ball_robot(settings)
-    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = frequency_mpc(settings, name == "shaped")
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)

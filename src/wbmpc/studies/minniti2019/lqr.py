@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
@@ -56,7 +57,7 @@ class RegulatorGains:
     def __init__(self, robot: RobotModel, weights: LqrWeights, period: float) -> None:
         positive("regulator", period=period)
         self.robot, self.weights, self.period = robot, weights, period
-        dynamics, n = robot.dynamics(), robot.base.nq
+        dynamics, n = robot.dynamics(), ball_base(robot).nq
         x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", robot.input.size)
         w = ca.SX.zeros(robot.parameters.size)
         _, jacobian = dynamics.jacobian(x, u, w, ca.SX(0, 1))
@@ -68,7 +69,7 @@ class RegulatorGains:
         """The gain for arm angles [rad]."""
         from scipy.linalg import expm, solve_discrete_are  # slow to import
 
-        x, u = self.robot.base.numeric.equilibrium(arm)
+        x, u = ball_base(self.robot).numeric.equilibrium(arm)
         jacobian, end_effector = (np.array(v) for v in self._linear(x, u))
         size, s = x.size, self.weights
         a, b = jacobian[:, :size], jacobian[:, size:]
@@ -86,11 +87,11 @@ class RegulatorGains:
 
     def at_rest(self, arm: Array) -> Array:
         """(2 + nu, nq): how lean (pitch, roll) and torques at rest change with constant generalized forces, to first order."""
-        x, u = self.robot.base.numeric.equilibrium(arm)
-        n = self.robot.base.nq
+        x, u = ball_base(self.robot).numeric.equilibrium(arm)
+        n = ball_base(self.robot).nq
         jacobian = np.array(self._linear(x, u)[0])[n:]
         slope = np.hstack([jacobian[:, 3:5], jacobian[:, x.size :]])
-        change: Array = -np.linalg.pinv(slope) @ np.linalg.inv(self.robot.base.numeric.mass_matrix(x[:n]))
+        change: Array = -np.linalg.pinv(slope) @ np.linalg.inv(ball_base(self.robot).numeric.mass_matrix(x[:n]))
         return change
 
     @cached_property
@@ -129,7 +130,7 @@ class LqrController(BallController):
         """State and torques to be at."""
         x = self.target_state(t)
         if not np.array_equal(x, self._rest[0]):
-            self._rest = x, self.robot.base.numeric.equilibrium(x[self.robot.state["arm"]], float(x[2]))[1]
+            self._rest = x, ball_base(self.robot).numeric.equilibrium(x[self.robot.state["arm"]], float(x[2]))[1]
         return self._rest
 
     def _gain(self, x: Array) -> Array:
@@ -140,7 +141,7 @@ class LqrController(BallController):
         return gain
 
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
-        n = self.robot.base.nq
+        n = ball_base(self.robot).nq
         target, torque = self._equilibrium(t)
         shift = self._shift @ self.disturbance  # as the MPC's, its rest is that under the estimated disturbance
         error, torque = x - target, torque + shift[2:]

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import numbers, positive_time
 from wbmpc.errors import InputError
 from wbmpc.model.numeric import Numeric
@@ -86,18 +87,18 @@ class SensorlessForce:
     """The force (3) [N] of the world on a ball robot's end effector from state and torques alone, beside the measured one."""
 
     def __init__(self, robot: RobotModel) -> None:
-        n = self._nq = robot.base.nq
+        n = self._nq = ball_base(robot).nq
         q, force = ca.SX.sym("q", n), ca.SX.sym("f", 3)
         torque = ca.SX.sym("u", robot.input.size - 3)
-        known = robot.base.generalized_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
+        known = ball_base(robot).generalized_force(q, ca.vertcat(torque, ca.SX(3, 1)), ca.SX(robot.parameters.size, 1))
         self._known = Numeric(ca.Function("known", [q, torque], [known]))
-        jacobian = ca.jacobian(robot.base.tool_force(q, force), force).T
+        jacobian = ca.jacobian(ball_base(robot).tool_force(q, force), force).T
         self._jacobian = Numeric(ca.Function("jacobian", [q], [jacobian]))
         still = np.zeros(n)
         self.observer = MomentumObserver(
-            robot.base.numeric.mass_matrix, lambda q, v: robot.base.numeric.inverse_dynamics(q, v, still)
+            ball_base(robot).numeric.mass_matrix, lambda q, v: ball_base(robot).numeric.inverse_dynamics(q, v, still)
         )
-        self._load = robot.base.numeric.tool_weight
+        self._load = ball_base(robot).numeric.tool_weight
         self._weight = 1.0 / np.array([*SPREAD[:5], *[SPREAD[5]] * (n - 5)]) ** 2
         self.force = np.zeros(3)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.messages import BallMeasurement
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.estimation.disturbance import DisturbanceObserver
@@ -112,7 +113,7 @@ class SeparateController(BallController):
     ) -> None:  # fmt: skip
         super().__init__(robot, mpc, torque, period, drives, False, *more)
         self.planner, self.inverse, self.loop, self.aware = planner, inverse, arm, aware
-        n, part = robot.base.nq, robot.state["arm"]
+        n, part = ball_base(robot).nq, robot.state["arm"]
         self._nominal, self._part, self._n = robot.home.copy(), part, n
         self._nominal[part] = mpc.reference["body"].at(0.0)[part]
         self._goal = self._nominal[part].copy()
@@ -123,7 +124,7 @@ class SeparateController(BallController):
 
     def _base_mass(self, q: Array) -> Array:
         """M with the base's columns alone: how the arm moves is no innovation."""
-        mass = self.robot.base.numeric.mass_matrix(q)
+        mass = ball_base(self.robot).numeric.mass_matrix(q)
         mass[:, 5:] = 0.0
         return mass
 
@@ -155,9 +156,9 @@ class SeparateController(BallController):
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
         assert policy is not None
         n, believed = self._n, self.believed(x)
-        weight = self.robot.base.numeric.inverse_dynamics(x[:n], x[n:], np.zeros(n))[5:]
+        weight = ball_base(self.robot).numeric.inverse_dynamics(x[:n], x[n:], np.zeros(n))[5:]
         arm = self.loop.torque(
-            self.robot.base.numeric.mass_matrix(x[:n])[5:, 5:], weight, self._goal - x[self._part], x[n + 5 :],
+            ball_base(self.robot).numeric.mass_matrix(x[:n])[5:, 5:], weight, self._goal - x[self._part], x[n + 5 :],
             self.period if acts else 0.0,
         )  # fmt: skip
         return np.concatenate([policy.feedforward(t), weight]), np.concatenate([policy.law(t, believed), arm])

@@ -12,6 +12,7 @@ import numpy as np
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.settings import lean_control_of
@@ -81,7 +82,7 @@ def reaching(
     arm, velocity = start[robot.state["arm"]], robot.state["base_velocity"].start
 
     def state(place: np.ndarray, angles: np.ndarray) -> np.ndarray:
-        x = robot.base.numeric.equilibrium(angles, yaw=float(start[2]))[0]
+        x = ball_base(robot).numeric.equilibrium(angles, yaw=float(start[2]))[0]
         x[:2] = place
         return x
 
@@ -139,7 +140,7 @@ def ball_system(
 ) -> BallSystem:
     """The controller of the settings on a perturbed plant, at rest with its ``arm`` (m) [rad] there, the estimator in the loop."""
     robot = robot_of(settings)
-    home, torque = robot.base.numeric.equilibrium(arm)
+    home, torque = ball_base(robot).numeric.equilibrium(arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)
@@ -204,7 +205,7 @@ class RezeroRecord:
 
     def __init__(self, log: Log, plant: BallPlant, controller: BallController) -> None:
         self._controller, robot = controller, controller.robot
-        others: dict[str, int | None] = {"torque": controller.torque.size, "disturbance": robot.base.nq}
+        others: dict[str, int | None] = {"torque": controller.torque.size, "disturbance": ball_base(robot).nq}
         if controller.payload is not None:
             others["payload"] = None
         if controller.estimator is not None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import positive
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
@@ -74,7 +75,7 @@ class TaskSpaceController(BallController):
         """Accelerations (5) of ball and base for their deviations (10): K of v̇ = −K (z − z₀), by LQR on the wheels."""
         from scipy.linalg import solve_continuous_are  # slow to import
 
-        n, g = self.robot.base.nq, self.gains
+        n, g = ball_base(self.robot).nq, self.gains
         a, b = self._model["linear"](self.home, self._rest)
         some, wheels = [*range(5), *range(n, n + 5)], len(self.robot.input.groups["wheel"])
         a, b = a[np.ix_(some, some)], b[some][:, :wheels]
@@ -91,9 +92,9 @@ class TaskSpaceController(BallController):
     def _solve(self, t: float, x: Array) -> Array:
         from scipy.optimize import lsq_linear
 
-        n, g = self.robot.base.nq, self.gains
+        n, g = ball_base(self.robot).nq, self.gains
         place, turned, velocity, jacobian, drift, map_, bias = self._model["now"](x)
-        mass = self.robot.base.numeric.mass_matrix(x[:n])
+        mass = ball_base(self.robot).numeric.mass_matrix(x[:n])
         free = np.linalg.solve(mass, self.disturbance - bias.ravel())
         drive = np.linalg.solve(mass, map_)
         target = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
@@ -120,7 +121,7 @@ class TaskSpaceController(BallController):
     def _balance(self, t: float, x: Array) -> Array:
         """Wanted acceleration (5) of ball and base: the LQR about the stance below the end effector's goal, at the lean that carries arm
         and estimated disturbance."""
-        n = self.robot.base.nq
+        n = ball_base(self.robot).nq
         ball, yaw = (self.goal(t)[0] - self._from_ball)[:2], self.home[2]
         if self.stance is not None:
             ball, yaw = self.stance(t)[:2], self.stance(t)[2]
@@ -141,7 +142,10 @@ def _lean_of_arm(robot: RobotModel, home: Array) -> Array:
     arm = home[robot.state["arm"]]
     step = lambda k: np.eye(arm.size)[k] * 1e-3
     columns = [
-        (robot.base.numeric.equilibrium(arm + step(k))[0] - robot.base.numeric.equilibrium(arm - step(k))[0])[3:5]
+        (
+            ball_base(robot).numeric.equilibrium(arm + step(k))[0]
+            - ball_base(robot).numeric.equilibrium(arm - step(k))[0]
+        )[3:5]
         / 2e-3
         for k in range(arm.size)
     ]
@@ -150,21 +154,21 @@ def _lean_of_arm(robot: RobotModel, home: Array) -> Array:
 
 def _lean_stiffness(robot: RobotModel, home: Array) -> Array:
     """How gravity's generalized forces on pitch and roll change with them, (2, 2) [N m/rad]."""
-    n = robot.base.nq
-    weight = lambda step: robot.base.numeric.inverse_dynamics(home[:n] + step, np.zeros(n), np.zeros(n))[3:5]
+    n = ball_base(robot).nq
+    weight = lambda step: ball_base(robot).numeric.inverse_dynamics(home[:n] + step, np.zeros(n), np.zeros(n))[3:5]
     steps = [np.eye(n)[k] * 1e-4 for k in (3, 4)]
     return np.array([(weight(s) - weight(-s)) / 2e-4 for s in steps]).T
 
 
 def _functions(robot: RobotModel) -> dict[str, Numeric]:
-    n, m = robot.base.nq, robot.input.size
+    n, m = ball_base(robot).nq, robot.input.size
     x, u = ca.SX.sym("x", robot.state.size), ca.SX.sym("u", m)
     q, v = x[:n], x[n:]
     w, mode = ca.SX(robot.parameters.size, 1), ca.SX(robot.mode.size, 1)
     pose, velocity = robot.frame_pose(x, robot.tool), ca.vertcat(*robot.frame_velocity(x, u, robot.tool))
     jacobian = ca.jacobian(velocity, v)
-    force = robot.base.generalized_force(q, u, w)
-    bias = robot.base.inverse_dynamics(q, v, ca.SX(n, 1))
+    force = ball_base(robot).generalized_force(q, u, w)
+    bias = ball_base(robot).inverse_dynamics(q, v, ca.SX(n, 1))
     now = [pose.position, pose.quaternion, velocity, jacobian, ca.jtimes(velocity, q, v), ca.jacobian(force, u), bias]
     f = robot.dynamics()(x, u, w, mode)
     return {

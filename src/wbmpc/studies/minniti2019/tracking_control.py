@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.errors import InputError
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
@@ -51,7 +52,7 @@ class TrackingController(BallController):
 
     def __init__(self, robot: RobotModel, mpc: MPC, *args: Any, gains: ActuatorGains) -> None:
         super().__init__(robot, mpc, *args)
-        n, base, size = len(robot.input.groups["wheel"]), robot.base, robot.state.size
+        n, base, size = len(robot.input.groups["wheel"]), ball_base(robot), robot.state.size
         x = ca.SX.sym("x", size)
         self._speeds = Numeric(ca.Function("speeds", [x], [base.wheel_speeds(x[: base.nq], x[base.nq :])]))
         self.leak_time_constant, self._n, self._arm = gains.leak_time_constant, n, robot.state["arm"]
@@ -64,7 +65,7 @@ class TrackingController(BallController):
 
     def speeds(self, x: Array) -> Array:
         """Actuator speeds (n + m) [rad/s] in a state (nx)."""
-        return np.concatenate([self._speeds(x)[0].ravel(), x[self.robot.base.nq + 5 :]])
+        return np.concatenate([self._speeds(x)[0].ravel(), x[ball_base(self.robot).nq + 5 :]])
 
     def _observe(self, measurement: BallMeasurement) -> None:
         super()._observe(measurement)

@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 from pydantic import Field
 
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
@@ -55,7 +56,7 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
     robot = ball_robot(settings)
     arm, wheels = bent_arm(settings, robot), len(robot.input.groups["wheel"])
     second = wheels + min(1, arm.size - 1)  # of the arm's joints, if it has two
-    home = robot.base.numeric.equilibrium(arm)[0]
+    home = ball_base(robot).numeric.equilibrium(arm)[0]
     position, quaternion = robot.pose(home)
     times, places = end_effector_path(settings, position)
     ends = settings.settle_time + (settings.move_time + settings.hold_time) * np.arange(len(CORNERS))

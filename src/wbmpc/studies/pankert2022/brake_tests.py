@@ -13,6 +13,7 @@ from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.perturbation import StuckBrake, SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
@@ -103,7 +104,7 @@ def push(bench: Bench, name: str, is_open: bool, progress: Progress | None) -> f
     """Largest displacement [m] of the body while it is pushed to the left at its center of mass."""
     state = "open" if is_open else "closed"
     plant, farthest, channel = bench.plant(name), 0.0, f"push_{name}_{state}"
-    modules = bench.robot.base.geometry.modules
+    modules = swerve_base(bench.robot).geometry.modules
     command = replace(
         SwerveCommand.stop(modules, len(bench.robot.input.groups["arm"])), brake=np.full(modules, float(is_open))
     )
@@ -146,7 +147,7 @@ def slip_torque(bench: Bench, progress: Progress | None) -> float:
             )  # fmt: skip
 
     plant = bench.plant("X", edit=blocks, lift=height, arm=_reached_back(robot))
-    stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
+    stop = SwerveCommand.stop(swerve_base(robot).geometry.modules, len(robot.input.groups["arm"]))
     _step(plant, stop, 1.0, bench)
     hinge = plant.model.joint(robot.state.groups["leg"][tried])
     start = float(plant.data.qpos[hinge.qposadr[0]])
@@ -169,7 +170,7 @@ def slip_torque(bench: Bench, progress: Progress | None) -> float:
 def slide_force(bench: Bench, name: str, progress: Progress | None) -> float:
     """Sideways force [N] at the body, brakes closed, at which the robot slides."""
     plant = bench.plant(name)
-    stop = SwerveCommand.stop(bench.robot.base.geometry.modules, len(bench.robot.input.groups["arm"]))
+    stop = SwerveCommand.stop(swerve_base(bench.robot).geometry.modules, len(bench.robot.input.groups["arm"]))
     _step(plant, stop, 0.5, bench)
     start, begin, force = plant.truth().pose, plant.time, 200.0
     bench.log.label(f"slide_{name}", ("force", "way", "force over friction"), ("N", "m", "1"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.swerve.calibration import calibrate
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.errors import InputError
 from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.experiment import Experiment, Outcome, Scenario
@@ -36,7 +37,7 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
             track_arm(robot, settings.plant, settings.tracked_poses, seed, log)
         try:
             if not reason:
-                found.append(calibrate(robot.base.geometry, record_of(log)))
+                found.append(calibrate(swerve_base(robot).geometry, record_of(log)))
         except InputError as error:  # the drive is worth keeping
             reason = f"the calibration: {error}"
         return Outcome(Ending.of(plant, reason=reason), controller.faults, controller)

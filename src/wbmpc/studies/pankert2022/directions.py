@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import wheel_velocities
@@ -28,7 +29,7 @@ def reject_directions(
 
     ``legs`` and ``leg_rates``: (k, n) [rad], [rad/s]. Ranges of half a turn or more reach every direction.
     """
-    part, g = robot.state["steer"], robot.base.geometry
+    part, g = robot.state["steer"], swerve_base(robot).geometry
     low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
     if (high - low >= np.pi).all():
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.model.robot import RobotModel
 from wbmpc.simulation.contacts import GROUND, OBSTACLE
 
@@ -51,7 +52,7 @@ def clearance(robot: RobotModel, poses: np.ndarray, legs: np.ndarray) -> float:
     near = np.abs(poses[:, 0] - DOOR) < 1.2
     for (x, y, yaw), leg in zip(poses[near], legs[near], strict=True):
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        feet = robot.base.geometry.steer_axes(leg)
+        feet = swerve_base(robot).geometry.steer_axes(leg)
         points = np.vstack([corners, feet + [0.0, LEG_HALF], feet - [0.0, LEG_HALF]]) @ turn.T + [x, y]
         # the outline between its corners is widest at them
         inside = np.abs(points[:, 0] - DOOR) < 0.05

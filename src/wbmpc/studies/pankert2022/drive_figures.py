@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import drive_speeds
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -159,7 +160,7 @@ def story(log: Log, robot: RobotModel, title: str, posts: Sequence[tuple[float, 
     indices = np.searchsorted(far, np.arange(far[0], far[-1] + 1e-9, STORY))
     shots = [Snapshot(float(t[k]), base[k], legs[k], steers[k], brakes[k] > 0.5) for k in indices]
     ground = Ground(posts, [(x, y, BUMP_RADIUS) for x, y in BUMPS], CABLES)
-    return Drawing(title, storyboard(robot.base.geometry, BODY, base[::20, :2], shots, ground))
+    return Drawing(title, storyboard(swerve_base(robot).geometry, BODY, base[::20, :2], shots, ground))
 
 
 def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:

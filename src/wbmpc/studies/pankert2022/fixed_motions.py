@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, SwerveCost
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -107,4 +108,4 @@ class Motion:
 
 def legs_at_home(robot: RobotModel) -> np.ndarray:
     """Leg angles (n) [rad] at which hinged legs are held; 0 for fixed ones."""
-    return robot.home[robot.state["leg"]] if "leg" in robot.state else np.zeros(robot.base.geometry.modules)
+    return robot.home[robot.state["leg"]] if "leg" in robot.state else np.zeros(swerve_base(robot).geometry.modules)

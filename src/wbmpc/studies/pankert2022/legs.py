@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import reject_two_wheels
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Run, Scenario
@@ -72,7 +73,7 @@ def legs_tour(robot: RobotModel, half_width: float, delay: float) -> Mission:
 
 def feet(robot: RobotModel, legs: Array) -> Array:
     """Steer axes (k, n, 2) [m] in the body's frame for positions of the legs (k, n)."""
-    return np.array([robot.base.geometry.steer_axes(leg) for leg in legs])
+    return np.array([swerve_base(robot).geometry.steer_axes(leg) for leg in legs])
 
 
 def figures(log: Log, robot: RobotModel) -> dict[str, Metric]:

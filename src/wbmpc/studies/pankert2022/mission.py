@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brake_control import FLOATING, PASS, BrakeControl, described, floating
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, wheel_velocities
@@ -108,7 +109,7 @@ class Mission:
         :class:`InputError` for a direction that is out of a range either way.
         """
         t = np.atleast_1d(np.asarray(t, float))
-        g, twist = robot.base.geometry, self.twist(t)
+        g, twist = swerve_base(robot).geometry, self.twist(t)
         leg, rate = self.leg(t)
         reject_directions(robot, t, twist, leg, rate)
         velocity = np.array([wheel_velocities(g, a, v, r) for a, v, r in zip(leg, twist, rate, strict=True)])
@@ -165,7 +166,7 @@ class Mission:
 def at_home(robot: RobotModel, legs: np.ndarray) -> np.ndarray:
     """The robot's home with its legs at ``legs`` (n) [rad, or m of those that slide], the wheels along the same directions of the body."""
     home, leg, part = robot.home.copy(), robot.state["leg"], robot.state["steer"]
-    steer = home[part] + robot.base.geometry.leg_angles(home[leg] - legs)
+    steer = home[part] + swerve_base(robot).geometry.leg_angles(home[leg] - legs)
     low, high = robot.limits.state_lower[part], robot.limits.state_upper[part]
     # a wheel rolls alike the other way round, which may be within its range
     steer += np.pi * (steer < low) - np.pi * (steer > high)

@@ -20,6 +20,7 @@ from wbmpc.bases.swerve.calibration import calibrate
 from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.perturbation import SoundBrakes, SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import RunAborted
@@ -97,7 +98,7 @@ def _strokes(geometry: ModuleGeometry, leg: np.ndarray, s: SwerveCalibrateSettin
 
 
 def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
-    geometry, home = robot.base.geometry, robot.state.split(robot.home)
+    geometry, home = swerve_base(robot).geometry, robot.state.split(robot.home)
     leg, steer = home.get("leg", np.zeros(geometry.modules)), home["steer"]
     part = robot.state["steer"]
     minimum, maximum = robot.limits.state_lower[part] + 0.01, robot.limits.state_upper[part] - 0.01
@@ -158,7 +159,7 @@ def drive(
         localization=settings.lidar.source(seed),
     )  # fmt: skip
     steps = round(1.0 / settings.control.rate / plant.timestep)
-    period, geometry = steps * plant.timestep, robot.base.geometry
+    period, geometry = steps * plant.timestep, swerve_base(robot).geometry
     controller = SwerveController(robot, plant.truth().pose, period)
     phases = _phases(robot, settings)
     swings = any(p.brake.any() for p in phases)
@@ -203,14 +204,14 @@ def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> 
     *_, reason = drive(robot, settings, seed, log, preparation(), odometry=False)
     if reason:
         raise RunAborted(f"the reference drive for the calibration: {reason}")
-    return calibrate(robot.base.geometry, record_of(log))
+    return calibrate(swerve_base(robot).geometry, record_of(log))
 
 
 def calibrated(
     robot: RobotModel, how: str, plant: SwervePerturbation, lidar: LidarSettings, seed: int
 ) -> WheelCalibration:
     """What an experiment knows of its wheels: ``how`` is "none", "drive" (a reference drive of this plant first), or a file."""
-    geometry = robot.base.geometry
+    geometry = swerve_base(robot).geometry
     if how == "none":
         return WheelCalibration.unknown(geometry)
     if how == "drive":

@@ -19,6 +19,7 @@ from wbmpc.bases.swerve.brake_supervision import Brakes, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.checks import not_negative
 from wbmpc.model.robot import RobotModel
@@ -82,7 +83,7 @@ class RollingController(SwerveController):
 
     def drive(self, t: float) -> SwerveCommand:
         """Drive speeds for this tick from the last measurement."""
-        m, geometry = self.measured, self.robot.base.geometry
+        m, geometry = self.measured, swerve_base(self.robot).geometry
         assert m is not None
         if m.leg.size:
             self.supervision.await_legs(t, self.estimator.leg)
@@ -126,7 +127,7 @@ class RollingController(SwerveController):
 
     def _legs(self, target: np.ndarray, rate: np.ndarray, brake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Measured leg angles (n) and the rates (n) [rad/s] at which the legs shall swing."""
-        m, still = self.measured, np.zeros(self.robot.base.geometry.modules)
+        m, still = self.measured, np.zeros(swerve_base(self.robot).geometry.modules)
         assert m is not None
         if not m.leg.size:
             return still, still
@@ -139,7 +140,7 @@ class RollingController(SwerveController):
         assert self.measured is not None
         soon = self.goals(t + self.gains.look_ahead)[0][1]
         aim = self._in_base(soon) if np.abs(soon).max() >= REST else np.zeros(3)
-        target, _ = rolling_inverse_kinematics(self.robot.base.geometry, leg, self.estimator.steer, aim)
+        target, _ = rolling_inverse_kinematics(swerve_base(self.robot).geometry, leg, self.estimator.steer, aim)
         return target, np.zeros(target.size)
 
     def _within(self, target: np.ndarray, wheel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ from functools import partial
 
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
@@ -59,7 +60,7 @@ def build(settings: SwerveStabilitySettings, seed: int) -> Scenario:
 def _stand(robot: RobotModel, assessment: Assessment, progress: Progress | None) -> Outcome:
     """For who watches: the robot at rest in a configuration."""
     plant = SwervePlant(robot.description, robot.state.split(assessment.x), SwervePerturbation.none())
-    stop = SwerveCommand.stop(robot.base.geometry.modules, len(robot.input.groups["arm"]))
+    stop = SwerveCommand.stop(swerve_base(robot).geometry.modules, len(robot.input.groups["arm"]))
     with watched(plant, 1.0 / RATE, STANDING, progress) as tick:
         for k in range(round(STANDING * RATE)):
             tick(k / RATE, stop)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.simulation.lockstep import Timing
 
@@ -13,6 +14,8 @@ def stand_still(plant: SwervePlant, controller: SwerveController, timing: Timing
     for _ in range(round(seconds / timing.period)):
         controller.measure(plant.measure())
         plant.step(
-            SwerveCommand.stop(len(controller.robot.base.geometry.hinge), len(controller.robot.input.groups["arm"])),
+            SwerveCommand.stop(
+                len(swerve_base(controller.robot).geometry.hinge), len(controller.robot.input.groups["arm"])
+            ),
             timing.steps,
         )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.configurations import corners
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability import StanceOf, Triangle, assess
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping
@@ -89,7 +90,7 @@ class Support:
         self.heights[corners(robot)[case.wheel]] = case.height
         self.faces = resting_triangles(self.feet, self.heights)
         self.times = np.arange(case.start, case.end, _STEP)
-        g, state = robot.base.geometry, robot.state
+        g, state = swerve_base(robot).geometry, robot.state
         heading = g.wheel_heading + g.leg_angles(self._x[state["leg"]]) + self._x[state["steer"]]
         self._along, self._radius = np.stack([np.cos(heading), np.sin(heading)], axis=1), g.wheel_radius
         self._stance_of = StanceOf(robot)

@@ -12,6 +12,7 @@ from wbmpc.bases.base import System
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
@@ -72,9 +73,9 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
         estimation=estimation, supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the end effector makes up for
-    references.set(mpc, robot.home, -controller.estimator.calibration.rise(robot.base.geometry))
+    references.set(mpc, robot.home, -controller.estimator.calibration.rise(swerve_base(robot).geometry))
     stand_still(plant, controller, timing, settings.settle_time)
-    release = ReleaseOdometry(robot.base.geometry, pose0, timing.period)
+    release = ReleaseOdometry(swerve_base(robot).geometry, pose0, timing.period)
     mpc.reset(robot.home)
     log = Log()
     every = timing.period * np.arange(round(references.duration / timing.period))

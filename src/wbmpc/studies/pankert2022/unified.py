@@ -15,6 +15,7 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import ROLLING_SOFTNESS, swerve_problem
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant, reject_two_wheels
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
@@ -55,7 +56,7 @@ GOAL = (2.0, 0.0, 0.5 * np.pi)
 def rear_triangles(robot: RobotModel, legs: np.ndarray) -> tuple[Triangle, ...]:
     """The support triangles over the two rearmost feet and each other one, legs at ``legs`` (n) [rad]: of four feet two, whose
     overlap is the large region of A; of three the one that there is."""
-    feet = robot.base.geometry.steer_axes(legs)
+    feet = swerve_base(robot).geometry.steer_axes(legs)
     rear = set(np.argsort(feet[:, 0], kind="stable")[:2].tolist())
     return tuple(t for t in support_triangles(feet) if rear < set(t))
 
@@ -74,7 +75,7 @@ def _reconfigurations(robot: RobotModel, settings: SwerveUnifiedSettings, opens:
     try:
         return (Reconfiguration(opens, leg_angles(robot, settings.legs.goal)),)
     except InputError as error:
-        legs = robot.base.geometry.modules
+        legs = swerve_base(robot).geometry.modules
         raise InputError(
             f"{error}; valid for legs.goal: angles, as [{', '.join(['0.2'] * legs)}]; or legs=support"
         ) from None

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.steering_planner import (
     NODES,
     POLL_PERIOD,
@@ -189,7 +190,7 @@ class WheelFlipGuess(SteeringGuess):
         self._lifted = self.turns
         edges = sorted({edge for turn in self.turns for edge in (turn.start, turn.end)})[: EDGES - 1]
         times = np.array([-NEVER, *edges, *[NEVER] * (EDGES - 1 - len(edges))])
-        values = np.zeros((EDGES, self.robot.base.geometry.modules))
+        values = np.zeros((EDGES, swerve_base(self.robot).geometry.modules))
         for k, edge in enumerate(edges, 1):
             values[k, [turn.wheel for turn in self.turns if turn.start <= edge < turn.end]] = 1.0
         self._references["rolling"] = Reference(times, values, "hold")
@@ -219,7 +220,7 @@ class WheelFlipGuess(SteeringGuess):
         return trajectory if written or self._new else None
 
     def _angles(self, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        state, modules = self.robot.state, self.robot.base.geometry.modules
+        state, modules = self.robot.state, swerve_base(self.robot).geometry.modules
         return (x0[state["leg"]] if "leg" in state else np.zeros(modules)), x0[state["steer"]].copy()
 
     def _ways(self, t: float, horizon: float, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -227,7 +228,7 @@ class WheelFlipGuess(SteeringGuess):
         times = t + np.linspace(0.0, horizon, NODES)
         leg, steer = self._angles(x0)
         twists = self.preview(times, x0[self.robot.state["base"]])
-        ways, speeds = wheel_directions(self.robot.base.geometry, leg, steer, twists)
+        ways, speeds = wheel_directions(swerve_base(self.robot).geometry, leg, steer, twists)
         ways[0] = steer + (ways[0] - steer + 0.5 * np.pi) % np.pi - 0.5 * np.pi
         return times, np.unwrap(ways, axis=0, period=np.pi), speeds
 
@@ -303,7 +304,7 @@ class WheelFlipGuess(SteeringGuess):
         x[later, j] = angles[later]
         first = max(int(np.searchsorted(nodes, start)) - 1, 0)
         u[first:, self._rate[wheel]] = (np.diff(x[:, j]) / np.diff(nodes))[first:]
-        inputs, g = self.robot.input, self.robot.base.geometry
+        inputs, g = self.robot.input, swerve_base(self.robot).geometry
         for k in range(first, len(u)):
             leg, steer = self._angles(x[k])
             v = wheel_velocities(g, leg, u[k, inputs["base"]])[wheel]

@@ -12,6 +12,7 @@ from pydantic import Field, field_validator
 
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
@@ -90,7 +91,7 @@ def build(settings: SwerveWipeSettings, seed: int) -> Scenario:
         estimation=estimation, supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the end effector makes up for
-    height = HEIGHT - controller.estimator.calibration.rise(robot.base.geometry)
+    height = HEIGHT - controller.estimator.calibration.rise(swerve_base(robot).geometry)
     order = Order(settings.force, settings.length, settings.speed, settings.touch_speed, settings.spring)
     controller.mpc, controller.wipe = mpc, (wipe := Wipe(robot, order, height))
     stand_still(plant, controller, timing, settings.settle_time)

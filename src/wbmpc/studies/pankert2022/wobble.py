@@ -15,6 +15,7 @@ from pydantic import Field
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
@@ -104,7 +105,7 @@ def _simulate(
         )  # fmt: skip
 
     plant = SwervePlant(robot.description, robot.state.split(start.x), settings.plant, seed, edit=block)
-    modules, key = robot.base.geometry.modules, case.key
+    modules, key = swerve_base(robot).geometry.modules, case.key
     steps = round(1.0 / RATE / plant.timestep)
     monitor, still = BrakeMonitor(robot.state.groups["leg"]), np.zeros(modules)
     with watched(plant, 1.0 / RATE, case.end, progress) as tick:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
+from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
 from wbmpc.benchmark.problems import Problem, RaceProblems
 from wbmpc.model.robot import load_robot
@@ -65,7 +66,7 @@ def rezero_bench(
     horizon = horizon or (0.02 * intervals if intervals > 40 else 1.3)
     mpc = MpcSettings(horizon=horizon, intervals=intervals, first_interval=0.0, barrier_mu=1e-2, limits=limits)
     solver = Solver(rezero_problem(robot, mpc, RezeroCost()), settings or SQP(iterations=300))
-    home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
+    home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     u0 = np.concatenate([torque, np.zeros(3)])
     position, orientation = robot.pose(home)
     solver.set_reference("end_effector", Reference.poses([0.0], [position + [step, 0.0, 0.0]], orientation))

@@ -70,7 +70,7 @@ def _terms(ocp: OptimalControlProblem, robot: RobotModel, groups: tuple[str, ...
     """Costs and constraints; ``groups``: the joints that there are."""
     joints = [g for g in groups if g in _POSTURE]
     rates = ["base", *groups]
-    body = residuals.FramePose(robot, robot.base.base.body)
+    body = residuals.FramePose(robot, robot.description.base.body)
     ocp.add(Cost("body", body, [10.0, 10.0, 0.1, 0.1, 0.1, 10.0], at="path+terminal"))
     ocp.add(Cost("posture", residuals.State(robot, joints), {g: _POSTURE[g] for g in joints}, at="path+terminal"))
     ocp.add(Cost("rates", residuals.Input(robot, rates, reference=None), {g: _RATES[g] for g in rates}))
