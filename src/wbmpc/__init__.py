@@ -10,8 +10,8 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.bases.base import Base as Base
     from wbmpc.bases.base import BaseDescription as BaseDescription
     from wbmpc.bases.base import BaseType as BaseType
-    from wbmpc.bases.base import Footprint as Footprint
     from wbmpc.bases.base import System as System
+    from wbmpc.bases.footprint import Footprint as Footprint
     from wbmpc.clearance.lattice import plan_route as plan_route
     from wbmpc.embedded.exporter import export as export
     from wbmpc.errors import InputError as InputError
@@ -155,7 +155,7 @@ _MODULES = {
     "Base": "wbmpc.bases.base",
     "BaseDescription": "wbmpc.bases.base",
     "BaseType": "wbmpc.bases.base",
-    "Footprint": "wbmpc.bases.base",
+    "Footprint": "wbmpc.bases.footprint",
     "System": "wbmpc.bases.base",
     "Limits": "wbmpc.model.joints",
     "joint_home": "wbmpc.model.joints",

@@ -46,7 +46,7 @@ class Footprint(Protocol):
     steered: SteeredFeet | None
 
     def positions(self, x: Array) -> Array:
-        """Feet (n, 2) [m] in the axes of the body at a state (nx)."""
+        """Feet (n, 2) [m] in the axes of the body at a state ``x`` (nx) [m, rad]."""
 
     def expressions(self, x: ca.SX) -> list[ca.SX]:
-        """The same (2 each) as symbols of the state."""
+        """The same (2 each) [m] as symbols of the state ``x`` (nx) [m, rad]."""
