@@ -31,7 +31,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, LONGEST_NODE_NAME, SMALL, Endpoint, Qos, full_name, nothing
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
-from wbmpc.ros2.dds_domain import open_domain, return_participant, take_participant
+from wbmpc.ros2.dds_domain import OPEN, open_domain, return_participant, take_participant
 from wbmpc.ros2.dds_graph import Graph
 from wbmpc.ros2.dds_listener import Take, Watch, silence
 from wbmpc.ros2.dds_qos import POLICIES, dds_qos
@@ -57,9 +57,6 @@ _LATE = 1.0
 #: What the user data of a service's endpoints begin with, at its client and at its server.
 _CLIENT, _SERVER = "clientid=", "serviceid="
 _FOREIGN = "is of another RMW than rmw_cyclonedds, whose services are others"
-#: Nodes that are open. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
-#: package takes the weak reference, which is dead by then, for a sign that the reader was deleted already.
-_OPEN: set[DdsNode] = set()
 
 
 class DdsNode:
@@ -91,7 +88,7 @@ class DdsNode:
         self._names: tuple[dict[bytes, str], DataReader] | None = None
         topic = self._topic("ros_discovery_info", _INFO)
         self._info = DataWriter(self._participant, topic, qos=self._qos(LATCHED, _INFO))
-        _OPEN.add(self)
+        OPEN.add(self)
         self._announce()
 
     # ------------------------------------------------------------------ topics
@@ -308,7 +305,7 @@ class DdsNode:
         return_participant(self.network.domain, self._kept)
         for reader in list(self._unregister):
             self._unregister.pop(reader)()
-        _OPEN.discard(self)
+        OPEN.discard(self)
 
     # ------------------------------------------------------------------ inside
     def _where(self, topic: Topic) -> tuple[int, str]:

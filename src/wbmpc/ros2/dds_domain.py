@@ -15,6 +15,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 from cyclonedds.core import DDSException, Policy
 from cyclonedds.core import Qos as DdsQos
@@ -47,6 +48,16 @@ class Participant:
         return self.topics[name, kind]
 
 
+class Closes(Protocol):
+    """A node."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+
+
+#: Nodes that are open. A reader that Python collects lives on in DDS, which then calls a listener that is gone: the
+#: package takes the weak reference, which is dead by then, for a sign that the reader was deleted already.
+OPEN: set[Closes] = set()
 #: Of closed nodes, by domain.
 _IDLE: dict[int, list[Participant]] = {}
 
@@ -70,7 +81,11 @@ def return_participant(domain: int, participant: Participant) -> None:
 
 @atexit.register
 def _leave() -> None:
-    """Others see the participants go at once, not when their lease ends."""
+    """Others see the participants go at once, not when their lease ends. Readers go before the interpreter does: its end deletes them while
+    they call back, and each waits for the other."""
+    for node in list(OPEN):
+        with suppress(InputError):
+            node.close()
     with _LOCK:
         for participant in (p for idle in _IDLE.values() for p in idle):
             participant.entity.__del__()
