@@ -7,9 +7,10 @@ import casadi as ca
 import mujoco
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from toys import robot
-from wbmpc.bases.ball.balance import Balance, divergent
+from wbmpc.bases.ball.balance import Balance, _support, divergent
 from wbmpc.bases.ball.balance import load_offset as offset_of
 from wbmpc.bases.ball.defaults import EndEffectorCost, RezeroCost, rezero_problem
 from wbmpc.bases.ball.residuals import CapturePoint, JointEffort
@@ -189,3 +190,15 @@ def test_the_plan_keeps_the_lean_within_its_limit() -> None:
         capture = ca.Function("capture", [x], [offset + ca.jacobian(offset, x[:8]) @ x[8:] / balance.pole])
         lean[share] = max(float(np.abs(np.array(capture(s))).max()) for s in found.x[1:]) / float(balance.reach.min())
     assert lean[0.3] < 0.31 < lean[0.0]
+
+
+@pytest.mark.parametrize("maximum", [0.3, 2.0, np.inf])
+def test_the_reach_is_that_of_a_linear_program(maximum: float) -> None:
+    """Truth: SciPy's solver, for random effects of three to six wheels, some of which do not spin the ball."""
+    rng = np.random.default_rng(8)
+    for k in range(30):
+        n = 3 + k % 4
+        effect, limits, spin = rng.normal(size=n), rng.uniform(0.5, 4.0, n), rng.normal(size=n) * (rng.random(n) < 0.8)
+        rows, bounds = (None, None) if maximum == np.inf else (np.vstack([spin, -spin]), [maximum, maximum])
+        truth = -linprog(-effect, A_ub=rows, b_ub=bounds, bounds=[(-v, v) for v in limits]).fun
+        assert _support(effect, limits, spin, maximum) == pytest.approx(truth, rel=1e-9)
