@@ -34,6 +34,7 @@ from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import Progress, preparation, watched
 from wbmpc.simulation.settings import LidarSettings
 from wbmpc.studies.pankert2022.directions import reject_directions
+from wbmpc.studies.pankert2022.standing import hold_arm
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, record_of
 
 
@@ -164,7 +165,7 @@ def drive(
     phases = _phases(robot, settings)
     swings = any(p.brake.any() for p in phases)
     wheels, total = WheelLog(log, robot), sum(p.length for p in phases)
-    home, arm = robot.state.split(robot.home), np.zeros(len(robot.input.groups["arm"]))
+    home, held = robot.state.split(robot.home), plant.measure().arm
     legs, brake = home.get("leg", np.zeros(geometry.modules)), phases[0].brake
     with watched(plant, period, total, progress, controller) as tick:
         for phase in phases:
@@ -182,7 +183,7 @@ def drive(
                 brake = phase.brake
                 steer, wheel = _rolling(geometry, phase, k * period, m.leg if swings else legs, legs)
                 turning = np.clip(STEER_GAIN * (steer - m.steer), -STEER_SPEED, STEER_SPEED)
-                command = SwerveCommand(wheel * controller.wheel_scale, turning, arm, brake)
+                command = SwerveCommand(wheel * controller.wheel_scale, turning, hold_arm(held, m.arm), brake)
                 tick(plant.time, command)
                 plant.step(command, steps)
                 if plant.fell:

@@ -1,6 +1,11 @@
-"""Standing before a run, while the gyro shows its bias."""
+"""Standing before a run, while the gyro shows its bias, and holding the arm where no plan does."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
@@ -8,14 +13,23 @@ from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.simulation.lockstep import Timing
 
+Array = NDArray[np.float64]
+
+#: Gain [1/s] of the arm's position servos.
+ARM_GAIN = 5.0
+
+
+def hold_arm(held: Array, measured: Array) -> Array:
+    """Joint rates (m) [rad/s] that keep an arm at ``held`` (m) [rad], of angles ``measured`` (m) [rad]: drives that hold a speed of 0 give
+    way to an unknown load, slowly and without end."""
+    return ARM_GAIN * (held - measured)
+
 
 def stand_still(plant: SwervePlant, controller: SwerveController, timing: Timing, seconds: float) -> None:
-    """Let the robot stand with closed brakes while the gyro shows its bias; ends before the run's time 0."""
+    """Let the robot stand with closed brakes, its arm held where it is, while the gyro shows its bias; ends before the run's time 0."""
+    held = plant.measure().arm
+    stop = SwerveCommand.stop(len(swerve_base(controller.robot).geometry.hinge), len(held))
     for _ in range(round(seconds / timing.period)):
-        controller.measure(plant.measure())
-        plant.step(
-            SwerveCommand.stop(
-                len(swerve_base(controller.robot).geometry.hinge), len(controller.robot.input.groups["arm"])
-            ),
-            timing.steps,
-        )
+        m = plant.measure()
+        controller.measure(m)
+        plant.step(replace(stop, arm=hold_arm(held, m.arm)), timing.steps)
