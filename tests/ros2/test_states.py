@@ -269,6 +269,19 @@ def test_a_gyro_says_nothing_of_the_time_over_which_its_clock_was_set_back() -> 
     np.testing.assert_allclose(rate, np.full(3, 0.2))
 
 
+@pytest.mark.parametrize("watchdog", [0.1, 1.0])
+def test_a_gap_between_readings_is_not_one_interval_of_the_gyro(watchdog: float) -> None:
+    """A node that was held up for 0.9 s while the robot's own timeout stopped it: the mean of the rates before and after, over the gap,
+    turned the odometry by up to 0.1 rad where the watchdog is patient. By hand: nothing is known of the turning."""
+    readings, turning = InertialReadings(BusClock(), watchdog), []
+    for at, rate in ((5.0, 0.4), (5.0025, 0.4), (5.9, 0.0), (5.9025, 0.0)):
+        readings.put(at, Inertial(np.array([0.0, 0.0, rate]), np.zeros(3)))
+        found = readings.averaged(at)
+        assert found is not None
+        turning.append(None if found.turning is None else float(found.turning[2]))
+    assert turning[1:] == [pytest.approx(0.4), None, 0.0]
+
+
 def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its_first_commands() -> None:
     """Truth: the limit of the watchdog that the file gives, without and with lockstep."""
     assert SwerveRosSettings(safety=Safety(watchdog=0.05)).held_up == 0.05

@@ -17,6 +17,9 @@ _TOGETHER = 1e-6
 #: A reading of the gyro counts for so long [s] at most: longer than between two messages of 100 Hz, shorter than a base changes
 #: its turning by much.
 _READING = 0.02
+#: Readings farther apart than this [s] say nothing of the turning between, however patient the watchdog is: a base stops within less than
+#: twice of it.
+GAP = 0.1
 #: So many readings wait for joint states at most.
 _WAITING = 4000
 
@@ -82,7 +85,7 @@ class InertialReadings:
             seen = [*previous, *((at, i.gyro) for at, i in due)]
             times, rates = zip(*seen, strict=True)
             covered = stamp - times[-1] <= _READING or not isinstance(self._clock, BusClock)  # no stamp ahead
-            turning = mean_rate(times, rates, self._watchdog) if covered else None
+            turning = mean_rate(times, rates, min(self._watchdog, GAP)) if covered else None
             self._previous = seen[-1]
             self._read = stamp, replace(mean_of([i for _, i in due]), turning=turning)
             return self._read[1]
