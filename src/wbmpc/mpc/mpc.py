@@ -149,7 +149,8 @@ class MPC(Described):
     def reset(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Forget the last plan; start from ``x`` (nx) and ``u`` (nu) held, or from trajectories (N + 1, nx), (N, nu).
 
-        Raises :class:`InputError` naming the entry that is not finite.
+        Raises :class:`InputError` naming the entry that is not finite, and :class:`SolverBusy` in the middle of an update, as of a
+        signal's handler.
         """
         d = self.path.dynamics
         for names, value in ((d.state.names, x), (d.input.names, u)):
