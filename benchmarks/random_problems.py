@@ -227,9 +227,11 @@ def main(arguments: list[str]) -> None:
     print(f"{sum(classes.values())} problems, {time.process_time() - start:.0f} s of processor time")
     for name, count in classes.most_common():
         print(f"{count:5d}  {name}")
-    print(
-        f"iterations of ours: median {np.median(iterations):g}, 95 % {np.percentile(iterations, 95):g}, most {max(iterations)}"
-    )
+    if iterations:
+        shares = f"median {np.median(iterations):g}, 95 % {np.percentile(iterations, 95):g}, most {max(iterations)}"
+        print(f"iterations of ours: {shares}")
+    else:
+        print("none of ours converged")
 
 
 if __name__ == "__main__":

@@ -55,3 +55,15 @@ def test_short_steps_where_the_merit_drowns_in_rounding() -> None:
     drawn = random_problems.draw(95)
     _, ours = random_problems.attempt(drawn, replace(drawn.settings, iterations=250))
     assert ours.status is Status.RELAXED
+
+
+def test_a_round_of_which_none_converges_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its largest number of iterations was sought among none: IndexError."""
+    attempt = random_problems.attempt
+    monkeypatch.setattr(
+        random_problems, "attempt", lambda drawn, settings: attempt(drawn, replace(settings, iterations=1))
+    )
+    random_problems.main(["--seeds", "95"])
+    assert capsys.readouterr().out.endswith("none of ours converged\n")

@@ -14,6 +14,7 @@ from needs import MISSING, needs_dds, wait_until
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
+from wbmpc.runtime.clock import WallClock
 
 pytestmark = needs_dds
 if not MISSING:
@@ -267,6 +268,55 @@ def test_a_gyro_says_nothing_of_the_time_over_which_its_clock_was_set_back() -> 
     assert turning[1:6] == [0.7] * 5 and turning[6] is None and turning[7:] == [0.7] * 5
     rate = mean_rate([0.0, 0.0, 0.0], [np.full(3, r) for r in (0.1, 0.2, 0.3)], 0.1)
     np.testing.assert_allclose(rate, np.full(3, 0.2))
+
+
+@pytest.mark.parametrize("watchdog", [0.1, 1.0])
+def test_a_gap_between_readings_is_not_one_interval_of_the_gyro(watchdog: float) -> None:
+    """A node that was held up for 0.9 s while the robot's own timeout stopped it: the mean of the rates before and after, over the gap,
+    turned the odometry by up to 0.1 rad where the watchdog is patient. By hand: nothing is known of the turning."""
+    readings, turning = InertialReadings(BusClock(), watchdog), []
+    for at, rate in ((5.0, 0.4), (5.0025, 0.4), (5.9, 0.0), (5.9025, 0.0)):
+        readings.put(at, Inertial(np.array([0.0, 0.0, rate]), np.zeros(3)))
+        found = readings.averaged(at)
+        assert found is not None
+        turning.append(None if found.turning is None else float(found.turning[2]))
+    assert turning[1:] == [pytest.approx(0.4), None, 0.0]
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+@pytest.mark.parametrize("came", [0, 3])
+def test_readings_of_a_part_of_a_gap_are_not_all_of_it(simulated: bool, came: int) -> None:
+    """A node that was held up for 1.9 s gets its messages one after the other: joint states of now, but readings of then alone, or none, and
+    the time of then. The last rate was taken for the whole gap: 0.07 rad. By hand: nothing is known of the turning. A tick that is late,
+    of which all readings are there, loses nothing."""
+    clock = BusClock() if simulated else WallClock()
+    readings = InertialReadings(clock, 0.1)
+
+    def put(at: float, rate: float) -> None:
+        readings.put(at, Inertial(np.array([0.0, 0.0, rate]), np.zeros(3)))
+        if isinstance(clock, BusClock):
+            clock.set(at)
+
+    def turning(stamp: float) -> float | None:
+        found = readings.averaged(stamp)
+        assert found is not None
+        return None if found.turning is None else float(found.turning[2])
+
+    for k in range(2):
+        put(5.0 + 0.0025 * k, 0.4)
+        read = turning(5.0 + 0.0025 * k)
+    assert read == pytest.approx(0.4)
+    for k in range(came):
+        put(5.005 + 0.0025 * k, 0.3)
+    assert turning(6.9) is None and turning(6.9) is None
+    for k in range(160):
+        put(6.9025 + 0.0025 * k, 0.1)
+    assert turning(6.9) is None
+    late = turning(6.9 + 0.4)
+    assert late is None or late == pytest.approx(0.1)
+    for k in range(160):
+        put(7.3025 + 0.0025 * k, 0.2)
+    assert turning(7.7) == pytest.approx(0.2, abs=1e-3)
 
 
 def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its_first_commands() -> None:

@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -350,6 +351,121 @@ def test_a_handler_that_changes_the_memory_of_a_solve_is_an_error(
         signal.signal(signal.SIGUSR1, previous)
     assert len(came) == 2
     getattr(one, name)(*given)  # afterwards it may
+
+
+@pytest.mark.parametrize(
+    "name", ["MPC.reset", "MPC.resume", "MPC.recover", "Solver.warm_start", "Solver.use", "Solver.reset"]
+)
+def test_a_handler_that_changes_the_memory_of_an_update_is_an_error(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it set was returned as the plan. Truth: an MPC without a handler."""
+    problem = cartpole(10)
+    mpc, plain = (wb.MPC(problem.ocp) for _ in range(2))
+    x, u, seen = np.ones((11, 4)), np.ones((10, 1)), wb.Observation(0.0, problem.x0)
+    given: tuple[Any, ...] = {
+        "MPC.reset": (np.ones(4),), "MPC.resume": (x, u, 0.0), "MPC.recover": (seen, x, u, 0.0),
+        "Solver.warm_start": (np.ones(4),), "Solver.use": (x, u), "Solver.reset": (),
+    }[name]  # fmt: skip
+    of, method = name.split(".")
+    change = getattr(mpc if of == "MPC" else mpc.solver, method)
+    came: list[int] = []
+
+    def handler(*_: object) -> None:
+        with pytest.raises(SolverBusy, match=rf"{name}: called before MPC\.update has ended"):
+            change(*given)
+        came.append(1)
+
+    read, previous = mpc.solver.solution, signal.signal(signal.SIGUSR1, handler)
+
+    def interrupted(*outcome: float) -> object:
+        signal.raise_signal(signal.SIGUSR1)
+        return read(*outcome)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(mpc.solver, "solution", interrupted)
+    for one in (mpc, plain):
+        one.reset(problem.x0)
+    try:
+        for t in (0.0, 0.02):
+            seen = wb.Observation(t, problem.x0)
+            np.testing.assert_array_equal(mpc.update(seen).u, plain.update(seen).u)
+    finally:
+        signal.signal(signal.SIGUSR1, previous)
+    assert len(came) == 2
+    change(*given)  # afterwards it may
+
+
+@pytest.mark.parametrize("what", ["schedule", "reference"])
+def test_what_a_handler_sets_while_tables_are_made_is_not_lost(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was: the tables of what had been set before were taken, and all solves went on with them. Truth: it is set before."""
+    from wbmpc.solver import receding
+
+    def ocp() -> wb.OptimalControlProblem:
+        gain = lambda x, u, w=None, m=None: 0.0 * x + m[0] * u
+        dynamics = wb.Ode({"x": ["x"]}, {"u": ["u"]}, gain, mode={"m": ["gain"]})
+        made = wb.OptimalControlProblem(dynamics, horizon=1.0, intervals=10)
+        made.add(wb.Cost("x", wb.residuals.State(dynamics), 1.0))
+        made.add(wb.Cost("u", wb.residuals.Input(dynamics), 1.0))
+        return made
+
+    set_other = {
+        "schedule": lambda one: one.set_schedule(wb.ModeSchedule((wb.Mode("half", {"m": (0.5,)}),))),
+        "reference": lambda one: one.set_reference("x", wb.Reference.constant(np.array([3.0]))),
+    }[what]
+    one, plain = Solver(ocp()), Solver(ocp())
+    for each in (one, plain):
+        each.set_schedule(wb.ModeSchedule((wb.Mode("all", {"m": (1.0,)}),)))
+    set_other(plain)
+    make, came = receding.make_tables, []
+
+    def interrupted(*given: Any) -> Any:
+        made = make(*given)
+        if not came:
+            came.append(1)
+            set_other(one)
+        return made
+
+    monkeypatch.setattr(receding, "make_tables", interrupted)
+    for _ in range(2):
+        np.testing.assert_array_equal(one.solve(np.ones(1)).x, plain.solve(np.ones(1)).x)
+
+
+def test_a_solver_that_was_busy_at_a_fork_is_free_in_the_child() -> None:
+    """Its thread is not there, and would never leave. Truth: the same solve before. One that the forking thread is in stays in use."""
+    lq, solver = linear()
+    before, own = solver.solve(lq.x0).x, Exclusive("it")
+    held, ended = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with solver.exclusive:
+            held.set()
+            ended.wait(60.0)
+
+    def child() -> bool:
+        raised = []
+        try:
+            own.once("it", lambda _: None, None)
+        except SolverBusy as error:
+            raised.append(error)
+        return len(raised) == 1 and bool(np.allclose(solver.solve(lq.x0).x, before, atol=1e-9))
+
+    def fork(_: None) -> int:
+        pid = os.fork()
+        if pid == 0:
+            status = 1
+            with contextlib.suppress(BaseException):
+                status = 0 if child() else 2
+            os._exit(status)
+        return os.waitpid(pid, 0)[1]
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    try:
+        assert held.wait(60.0)
+        assert own.once("it", fork, None) == 0
+        with pytest.raises(SolverBusy, match="in use by another thread"):
+            solver.solve(lq.x0)
+    finally:
+        ended.set()
+        thread.join()
 
 
 def test_a_guess_that_calls_its_own_update_is_one_error_and_the_mpc_goes_on() -> None:

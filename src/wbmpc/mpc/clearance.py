@@ -18,6 +18,7 @@ from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ocp.symbols import KeepsClear
 from wbmpc.solver import Solver, Trajectory
+from wbmpc.solver.warm_start import restart_from, take_as_result
 
 Array = NDArray[np.float64]
 #: Share of a margin that a plan may lack before it is replaced: one iteration misses rows by some of it.
@@ -154,13 +155,12 @@ class ClearanceRows:
         clearer = found is None or (standing is not None and standing.distance <= found.distance)
         if clearer and not unusable():
             return True
-        self._solver.use(stop.x, stop.u)
+        take_as_result(self._solver, stop.x, stop.u)
         return False
 
     def _restart(self, x: Array, u: Array, run: Callable[[float, int], None]) -> None:
         """Solve from states x (N + 1, nx) and inputs u (N, nu) of now, with slacks and multipliers that restart."""
-        self._solver.warm_start(x, u)
-        self._solver.reset()
+        restart_from(self._solver, x, u)
         for k in range(BRAKING_SOLVES):
             with self._solver.barrier(FIRST_BARRIER * BARRIER_SHARE**k):
                 run(0.0, 1)

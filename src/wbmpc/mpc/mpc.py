@@ -29,6 +29,7 @@ from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.solver.solution import COLUMNS
+from wbmpc.solver.warm_start import restart_from, start_from, take_as_result
 from wbmpc.types import Observation
 
 _LOG = logging.getLogger("wbmpc")
@@ -148,16 +149,17 @@ class MPC(Described):
     def reset(self, x: np.ndarray, u: np.ndarray | None = None) -> None:
         """Forget the last plan; start from ``x`` (nx) and ``u`` (nu) held, or from trajectories (N + 1, nx), (N, nu).
 
-        Raises :class:`InputError` naming the entry that is not finite.
+        Raises :class:`InputError` naming the entry that is not finite, and :class:`SolverBusy` in the middle of an update, as of a
+        signal's handler.
         """
         d = self.path.dynamics
         for names, value in ((d.state.names, x), (d.input.names, u)):
             if value is not None or names is d.state.names:
                 for row in np.atleast_2d(real_numbers("reset", value)):
                     check_vector("reset", names, row)
-        self.solver.warm_start(self.path.wide(x), None if u is None else self.path.wide_input(u))
-        self.solver.reset()
-        self._t, self._policy = None, None
+        with self.solver.exclusive.between("MPC.reset"):
+            restart_from(self.solver, self.path.wide(x), None if u is None else self.path.wide_input(u))
+            self._t, self._policy = None, None
 
     def update(self, observation: Observation) -> Policy:
         """A new policy from the observation. Raises :class:`RunAborted` if there has never been a usable one, and
@@ -284,18 +286,21 @@ class MPC(Described):
         elif self._clear.search_is_due(t):
             plan, outcome = self.solver.trajectory(), self._outcome
             if not self._clear.search(t, x0, plan, run, unusable):
-                self.solver.use(plan.x, plan.u)
+                take_as_result(self.solver, plan.x, plan.u)
                 self._outcome = outcome
             self._clear.measure(t)
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""
-        found = None if self._guess is None else self._guess(t, x0, self.solver.trajectory(start))
+        if self._guess is None:
+            return
+        with self.solver.exclusive.lent():
+            found = self._guess(t, x0, self.solver.trajectory(start))
         if found is None:
             return
         check_found(found)
         try:
-            self.solver.warm_start(found.x, found.u)
+            start_from(self.solver, found.x, found.u)
         except NotFinite as error:  # the last plan is the better start
             self._lines.log(_LOG, logging.WARNING, "guess", f"MPC at {t:.3f} s: the initial guess is not used: {error}")
 
@@ -327,8 +332,11 @@ class MPC(Described):
 
     def resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
         """Go on from a plan x (N + 1, nx), u (N, nu) whose horizon starts at ``t`` [s]: the next update shifts it."""
-        self.solver.warm_start(x, u)
-        self.solver.reset()
+        with self.solver.exclusive.between("MPC.resume"):
+            self._resume(x, u, t)
+
+    def _resume(self, x: np.ndarray, u: np.ndarray, t: float) -> None:
+        restart_from(self.solver, x, u)
         self._t = t
 
     def recover(self, observation: Observation, x: np.ndarray, u: np.ndarray, t: float) -> None:
@@ -340,15 +348,18 @@ class MPC(Described):
         A plan from which two passes in a row ended with numbers that are not finite is discarded: the next one starts from
         the observation.
         """
+        with self.solver.exclusive.between("MPC.recover"):
+            self._recover(observation, x, u, t)
+
+    def _recover(self, observation: Observation, x: np.ndarray, u: np.ndarray, t: float) -> None:
         from wbmpc.solver.controller import RESTART, RESUME
 
         after = self._plan_check.recovery(self._outcome[0])
         if after == RESTART:
-            self.solver.warm_start(self.path.wide(observation.x))
-            self.solver.reset()
+            restart_from(self.solver, self.path.wide(observation.x))
             self._t = None
         elif after == RESUME:
-            self.resume(x, u, t)
+            self._resume(x, u, t)
 
     def _check(self, observation: Observation) -> None:
         if not abs(observation.t) <= LATEST:
@@ -365,5 +376,5 @@ class MPC(Described):
             found = self.solver.certified(*self._outcome)
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
-        self.recover(observation, last.x, last.u, float(last.times[0]))
+        self._recover(observation, last.x, last.u, float(last.times[0]))
         return self.path.own_policy(last)

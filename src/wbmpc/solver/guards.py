@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
@@ -23,8 +26,9 @@ class Exclusive:
     """
 
     def __init__(self, what: str) -> None:
-        self.what, self._running = what, ""
+        self.what, self._running, self._lent = what, "", False
         self._lock: Any = threading.RLock()
+        _ALL.add(self)
 
     def __enter__(self) -> None:
         if self._lock._is_owned():
@@ -59,13 +63,39 @@ class Exclusive:
             finally:
                 self._running = ""
 
-    def unless(self, name: str, what: str) -> Exclusive:
-        """To be entered for ``what``, which changes what a call of ``name`` works on, and so may not come in its middle."""
-        if self._running == name:
+    def between(self, what: str) -> Exclusive:
+        """To be entered for ``what``, which changes what :meth:`once` works on, and so may not come in its middle."""
+        if self._running and not self._lent and self._lock._is_owned():
             raise SolverBusy(
-                f"{what}: called before {name} has ended, whose memory it changes, as by a signal's handler"
+                f"{what}: called before {self._running} has ended, whose memory it changes, as by a signal's handler"
             )
         return self
+
+    @contextmanager
+    def lent(self) -> Iterator[None]:
+        """While a guess is asked for: it may change what the call that asks for it begins with."""
+        self._lent = True
+        try:
+            yield
+        finally:
+            self._lent = False
+
+    def free_in_child(self) -> None:
+        """After a fork: who was in it is not in this process, unless it is who forked."""
+        if not self._lock._is_owned():
+            self._running, self._lent, self._lock = "", False, threading.RLock()
+
+
+#: Those of this process: a fork has one thread, and locks of all.
+_ALL: weakref.WeakSet[Exclusive] = weakref.WeakSet()
+
+
+def _free_all() -> None:
+    for one in _ALL:
+        one.free_in_child()
+
+
+os.register_at_fork(after_in_child=_free_all)
 
 
 def _stay(*_: object) -> None:

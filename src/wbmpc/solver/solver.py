@@ -33,7 +33,7 @@ from wbmpc.solver.settings import SLQ, SQP, check_settings_type
 from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.violations import violation_message
-from wbmpc.solver.warm_start import trajectories
+from wbmpc.solver.warm_start import start_from, take_as_result
 from wbmpc.solver.workspace import LOG
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ class Solver(SolverResults):
         self.references: dict[str, Reference] = {}
         self.schedule = DEFAULT
         self._tables: Tables | None = None
+        self._changes = 0  # of references and schedule
         self.log = np.zeros((self.settings.max_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
         self.hessian = HessianSwitch(self)
@@ -137,28 +138,27 @@ class Solver(SolverResults):
             raise InputError(
                 f"reference '{name}': a Reference is needed, such as Reference.constant(…), got {str(reference)[:80]!r}"
             )
-        if reference.values.shape[1] != width:
-            raise InputError(
-                f"reference '{name}': {width} numbers per sample are needed, got {reference.values.shape[1]}"
-            )
+        if (given := reference.values.shape[1]) != width:
+            raise InputError(f"reference '{name}': {width} numbers per sample are needed, got {given}")
         with self.exclusive:
-            previous = self.references.get(name)
+            previous, tables = self.references.get(name), self._tables
             self.references[name] = reference
-            if self._tables is None:
+            self._changes += 1
+            if tables is None:
                 return
             if previous is None or (previous.values.shape, previous.kind) != (reference.values.shape, reference.kind):
                 self._tables = None
                 return
             from wbmpc.solver.receding import overwrite
 
-            overwrite(self._tables, [n for n in slices if n in self.references].index(name), reference)
+            overwrite(tables, [n for n in slices if n in self.references].index(name), reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """Set the modes over absolute time."""
         self.problem.mode_tables(schedule)
         self.problem.check_schedule(schedule)
         with self.exclusive:
-            self.schedule, self._tables = schedule, None
+            self.schedule, self._tables, self._changes = schedule, None, self._changes + 1
 
     def set_weight(self, name: str, weight: Weight, at: Literal["path", "terminal"] = "path") -> None:
         """Change a cost's weight (one number, one per row, or by the residual's groups) without compiling."""
@@ -190,15 +190,13 @@ class Solver(SolverResults):
         linear between its nodes, inputs hold over its intervals. Raises :class:`InputError` for other shapes, and
         :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
         """
-        start = trajectories(self.ocp, self._given_grid, x, u)
-        with self.exclusive.unless("Solver.solve", "Solver.warm_start"):
-            self.ws.x[:], self.ws.u[:] = start
+        with self.exclusive.between("Solver.warm_start"):
+            start_from(self, x, u)
 
     def use(self, x: np.ndarray, u: np.ndarray) -> None:
         """Take states x (N + 1, nx) and inputs u (N, nu) as the result of the last solve, without feedback."""
-        self.warm_start(x, u)
-        with self.exclusive:
-            self.ws.k[:] = 0.0
+        with self.exclusive.between("Solver.use"):
+            take_as_result(self, x, u)
 
     @contextmanager
     def barrier(self, value: float) -> Iterator[None]:
@@ -213,7 +211,7 @@ class Solver(SolverResults):
 
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
-        with self.exclusive.unless("Solver.solve", "Solver.reset"):
+        with self.exclusive.between("Solver.reset"):
             self._forget()
 
     def _forget(self) -> None:
@@ -233,14 +231,17 @@ class Solver(SolverResults):
         """References and modes as the compiled code reads them."""
         from wbmpc.solver.receding import make_tables
 
-        if self._tables is None:
+        while (tables := self._tables) is None:
             for name, term in self.ocp.terms.items():
                 if getattr(term.residual, "reference_required", False) and name not in self.references:
                     raise InputError(f"term '{name}': its reference (a pose) is not set")
             if self.schedule is DEFAULT:
                 self.problem.check_schedule(DEFAULT)
-            self._tables = make_tables(self.problem, self.references, self.schedule)
-        return self._tables
+            changes = self._changes
+            made = make_tables(self.problem, self.references, self.schedule)
+            if changes == self._changes:  # else a signal's handler has set what they do not have
+                self._tables = made
+        return tables
 
     # ------------------------------------------------------------------ solve
     def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
@@ -354,9 +355,8 @@ class Solver(SolverResults):
         x0 = np.ascontiguousarray(real_numbers("initial state", x0))
         if x0.shape != (nx,):
             raise InputError(f"initial state: {nx} numbers are needed, got shape {x0.shape}")
-        if not np.isfinite(x0).all():
-            bad = self.ocp.dynamics.state.names[int(np.argmax(~np.isfinite(x0)))]
-            raise InputError(f"initial state: '{bad}' is not finite")
+        if (bad := np.flatnonzero(~np.isfinite(x0))).size:
+            raise InputError(f"initial state: '{self.ocp.dynamics.state.names[int(bad[0])]}' is not finite")
         return x0
 
     def certified(self, status: int, count: int, elapsed: float) -> Solution:

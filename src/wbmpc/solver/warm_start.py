@@ -2,12 +2,38 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.model.layout import Layout
 from wbmpc.ocp import OptimalControlProblem
+
+if TYPE_CHECKING:
+    from wbmpc.solver.solver import Solver
+
+
+def start_from(solver: Solver, x: np.ndarray, u: np.ndarray | None = None) -> None:
+    """:meth:`Solver.warm_start` by who is in the solver: also in the middle of a call of its own."""
+    start = trajectories(solver.ocp, solver._given_grid, x, u)
+    with solver.exclusive:
+        solver.ws.x[:], solver.ws.u[:] = start
+
+
+def take_as_result(solver: Solver, x: np.ndarray, u: np.ndarray) -> None:
+    """:meth:`Solver.use`, likewise."""
+    with solver.exclusive:
+        start_from(solver, x, u)
+        solver.ws.k[:] = 0.0
+
+
+def restart_from(solver: Solver, x: np.ndarray, u: np.ndarray | None = None) -> None:
+    """:meth:`Solver.warm_start` and :meth:`Solver.reset`, likewise."""
+    with solver.exclusive:
+        start_from(solver, x, u)
+        solver._forget()
 
 
 def trajectories(

@@ -23,6 +23,7 @@ from websockets.protocol import State
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimitFilter
 from wbmpc.view.access import Access
+from wbmpc.view.backlog import skip_replaced
 from wbmpc.view.frames import LARGEST, checked
 
 _PATCH = threading.Lock()
@@ -101,7 +102,7 @@ class Guard:
     def answer(self, connection: Any, request: Any, serve: Callable[..., Any]) -> Any:
         """The answer to a request; None lets a WebSocket begin."""
         port = int(connection.local_address[1])
-        reason = self.access.rejection(request.path, request.headers, port)
+        reason = self.access.rejection(request.path, request.headers, port) or _other_version(request.headers)
         if not reason and self.server is None:  # what browsers may find is still being made
             response = Response(HTTPStatus.SERVICE_UNAVAILABLE.value, "Starting", Headers({"Content-Length": "0"}), b"")
         elif reason:
@@ -215,6 +216,16 @@ class Guard:
         self.log.warning("view: %s", context.get("message", "an error"), exc_info=context.get("exception"))
 
 
+def _other_version(headers: Headers) -> str:
+    """Why a WebSocket is rejected that was asked for by a page of another version; empty if it was not. viser itself prints a line on the
+    standard output for each of them."""
+    if "websocket" not in headers.get_all("Upgrade"):
+        return ""
+    asked = [name.strip() for value in headers.get_all("Sec-WebSocket-Protocol") for name in value.split(",")]
+    known = asked == [f"viser-v{viser.__version__}"]
+    return "" if known else "the page is of another version: load it again"
+
+
 def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.ViserServer, Guard]:
     """A server at the address of ``access``, and its guard. A busy ``port`` is passed over."""
     guard = Guard(access)
@@ -224,6 +235,7 @@ def open_server(access: Access, port: int, label: str = "wbmpc") -> tuple[viser.
         server.stop()
         raise InputError("view: this version of viser cannot be guarded; valid: viser 1.1")
     websocket = server._websock_server
+    skip_replaced(websocket._broadcast_buffer)
 
     async def connected(client: Any) -> None:
         for buffer in (websocket._broadcast_buffer, client._state.message_buffer):

@@ -121,5 +121,7 @@ def status_text(numbers: Mapping[str, float], configurations: Sequence[str] = ()
 
 
 def plain(text: str) -> str:
-    """Text that Markdown shows as it is: what was sent by a page does not become a link or an image of another's."""
-    return re.sub(r"([\\`*_{}\[\]()<>#!|~$&])", r"\\\1", " ".join(text.split()))
+    """Text that Markdown shows as it is: what was sent by a page does not become a link or an image of another's. In addresses, which
+    the page turns into links whatever is escaped, stands a character that is not seen (U+2060)."""
+    text = re.sub(r"([\\`*_{}\[\]()<>#!|~$&])", r"\\\1", " ".join(text.split()))
+    return re.sub(r"(?i)(:)(?=//)|(www)(?=\.)|(?=@)", lambda found: f"{found[0]}\u2060", text)
