@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from wbmpc.experiment import Experiment, Scenario
@@ -36,8 +34,9 @@ def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
     return Task(arm, t, pushes=tuple(pushes))
 
 
-def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
-    """Pushes while the ``held`` "ball" or "hand" is to stay in its place."""
+def build(settings: RezeroPushSettings, seed: int) -> Scenario:
+    """Pushes while ball or end effector are to stay in their place."""
+    held = settings.held
     robot = ball_robot(settings)
     task = _task(settings, robot.home[robot.state["arm"]])
     end_effector, ball = robot.pose(robot.home)[0], robot.home[:2]
@@ -71,9 +70,5 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
     return task_scenario(settings, seed, task, metrics, plots, IDEALIZATIONS)
 
 
-BALL_EXPERIMENT = Experiment.of(
-    BALL, SUMMARY.format("ball"), RezeroPushBallSettings, partial(build, "ball"), DEFINITIONS[BALL]
-)
-HAND_EXPERIMENT = Experiment.of(
-    HAND, SUMMARY.format("end effector"), RezeroPushHandSettings, partial(build, "hand"), DEFINITIONS[HAND]
-)
+BALL_EXPERIMENT = Experiment.of(BALL, SUMMARY.format("ball"), RezeroPushBallSettings, build, DEFINITIONS[BALL])
+HAND_EXPERIMENT = Experiment.of(HAND, SUMMARY.format("end effector"), RezeroPushHandSettings, build, DEFINITIONS[HAND])
