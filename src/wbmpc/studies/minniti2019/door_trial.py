@@ -146,19 +146,10 @@ def make_controller(
     for pose in ("end_effector", "turn"):
         mpc.reference[pose] = Reference.poses([0.0], end_effector, quaternion)
     controller = DoorController(
-        robot,
-        mpc,
-        push,
-        geometry,
-        np.array(NOMINAL),
-        settings.scheme.identify,
-        torque,
-        period,
-        DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time),
-        settings.estimate_disturbance,
-        estimator_of(settings, robot, home),
-        FallPredictor(robot, robot.home[robot.state["arm"]]),
-    )
+        robot, mpc, push, geometry, np.array(NOMINAL), settings.scheme.identify, torque, period,
+        DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time), settings.estimate_disturbance,
+        estimator_of(settings, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
+    )  # fmt: skip
     mpc.solver.set_parameters(controller.parameters())
     start = np.concatenate([home, controller.door]) if controller.with_door else home
     mpc.reset(start, np.concatenate([torque, np.zeros(3)]))

@@ -67,12 +67,9 @@ def drive(
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     own = (
-        timing.period,
-        DriveSettings(settings.actuator_time_constant),
-        settings.estimate_disturbance,
-        estimator_of(settings, robot, home),
-        FallPredictor(robot, robot.home[robot.state["arm"]]),
-    )
+        timing.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance,
+        estimator_of(settings, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
+    )  # fmt: skip
     controller: BallController
     if name == "shaped":
         controller = FrequencyAwareController(robot, mpc, torque, *own)

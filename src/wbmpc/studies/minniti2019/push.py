@@ -10,12 +10,7 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_end_effector, rms
-from wbmpc.studies.minniti2019.push_settings import (
-    RECOVERY,
-    RezeroPushBallSettings,
-    RezeroPushHandSettings,
-    RezeroPushSettings,
-)
+from wbmpc.studies.minniti2019.push_settings import RECOVERY, RezeroPushBallSettings, RezeroPushHandSettings
 from wbmpc.studies.minniti2019.recovery import rest
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 
@@ -24,7 +19,7 @@ SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, 
 IDEALIZATIONS = ["pushes are exact forces at the base's center of mass"]
 
 
-def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
+def _task(settings: RezeroPushHandSettings, arm: np.ndarray) -> Task:
     pushes, t = [], settings.settle_time
     gap = settings.pause if settings.gap is None else settings.gap
     for force in settings.forces:
@@ -34,7 +29,7 @@ def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
     return Task(arm, t, pushes=tuple(pushes))
 
 
-def build(settings: RezeroPushSettings, seed: int) -> Scenario:
+def build(settings: RezeroPushHandSettings, seed: int) -> Scenario:
     """Pushes while ball or end effector are to stay in their place."""
     held = settings.held
     robot = ball_robot(settings)

@@ -48,8 +48,10 @@ class PushSettings(ControlledSettings):
         return self
 
 
-class RezeroPushSettings(PushSettings):
-    """``forces`` [N]: each along x and then along y; ``gap`` [s]: from the first push of such a pair to the second (left out: as long as the
+class RezeroPushHandSettings(PushSettings):
+    """The end effector is held: the weights of the steps.
+
+    ``forces`` [N]: each along x and then along y; ``gap`` [s]: from the first push of such a pair to the second (left out: as long as the
     pause); ``settle_time`` [s]: at rest before the first push. The robot must be back before each push that comes at least
     :data:`RECOVERY` after the one before."""
 
@@ -64,12 +66,8 @@ class RezeroPushSettings(PushSettings):
         return self
 
 
-class RezeroPushBallSettings(RezeroPushSettings):
+class RezeroPushBallSettings(RezeroPushHandSettings):
     """The ball is held and, of the end effector, only its orientation (the paper's first task); otherwise the same weights."""
 
     held: ClassVar[str] = "ball"
     cost: RezeroCost = BALL_HELD
-
-
-class RezeroPushHandSettings(RezeroPushSettings):
-    """The end effector is held: the weights of the steps."""
