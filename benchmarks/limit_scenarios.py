@@ -14,9 +14,10 @@ import numpy as np
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, lean_control_of
+from wbmpc.bases.ball.settings import PUSHED_SPEED, STEPS_AND_PUSHES
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -109,7 +110,7 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
     controller = BallController(
         robot, mpc, torque, timing.period, DriveSettings(settings.actuator_time_constant), estimator=estimator
     )
-    controller.lean_control = lean_control_of(settings, robot, robot.home[robot.state["arm"]])
+    controller.lean_control = LeanControl(robot, robot.home[robot.state["arm"]], cost.lean, PUSHED_SPEED)
     mpc.reset(home, torque)
     rig = Rig(robot, mpc, plant, controller, timing, duration)
     _hold_goals(rig, [(0.0, np.zeros(3))])

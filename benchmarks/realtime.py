@@ -22,10 +22,11 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, set_home_references
+from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import lean_control_of
+from wbmpc.bases.ball.settings import PUSHED_SPEED
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.messages import SwerveCommand
@@ -100,7 +101,7 @@ def make_rezero_controller(own: MPC, plant: BallPlant, rate: float) -> BallContr
     controller = BallController(
         robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.actuator_time_constant)
     )
-    controller.lean_control = lean_control_of(BALL, robot, arm)
+    controller.lean_control = LeanControl(robot, arm, BALL.cost.lean, PUSHED_SPEED)
     return controller
 
 

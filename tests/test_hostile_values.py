@@ -160,9 +160,9 @@ def test_metrics_with_odd_names_are_printed_safely(tmp_path: Path, capfd: pytest
 
 
 @pytest.mark.parametrize("value", ["[a]", "{a: 1}", "[[]]", "5", "~"])
-@pytest.mark.parametrize("more", [(), ("tracking.x=1",), ("tracking=[a]",)])
+@pytest.mark.parametrize("more", [(), ("controller.tracking.x=1",), ("controller.tracking=[a]",)])
 def test_a_kind_that_is_no_text_is_an_error(value: str, more: tuple[str, ...]) -> None:
     """Before it is looked up in a table."""
     settings = REGISTRY["rezero-push-ball"].config_type
     with pytest.raises(InputError, match="tracking"):
-        configure(settings, [f"tracking.kind={value}", *more], "rezero-push-ball")
+        configure(settings, [f"controller.tracking.kind={value}", *more], "rezero-push-ball")

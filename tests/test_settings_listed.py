@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from wbmpc.cli import main
+from wbmpc.registry import REGISTRY
 
 
 def listed(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, str]:
@@ -32,3 +34,30 @@ def test_values_are_those_of_file_and_assignments(tmp_path: Path, capsys: pytest
 def test_what_cannot_be_meant_is_an_error(words: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "hold", "--settings", *words]) == 2
     assert says in capsys.readouterr().err
+
+
+def test_keys_of_every_choice_are_listed_with_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """Truth: the fields of the controllers' models, and their defaults."""
+    assert main(["run", "rezero-steps", "--settings", "--json"]) == 0
+    found = [
+        (row["key"], kind, row["default"].strip("`"))
+        for row in json.loads(capsys.readouterr().out)["settings"]
+        for kind in row["choice"].removeprefix("controller=").split(", ")
+    ]
+    for model in get_args(REGISTRY["rezero-steps"].config_type.model_fields["controller"].annotation):
+        for kind in get_args(model.model_fields["kind"].annotation):
+            values = model().model_dump(exclude={"kind", "tracking"})
+            assert values and {(f"controller.{k}", kind, str(v)) for k, v in values.items()} <= set(found)
+    assert ("controller.tracking.wheel_damping", "controller.tracking=actuators", "0.02") in found
+
+
+def test_values_of_the_choice_that_is_made_are_listed_last(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "rezero-steps", "--settings", "--set", "controller=lqr", "--set", "controller.end_effector=0.25"]
+    assert main([*words, "--json"]) == 0
+    rows = [r for r in json.loads(capsys.readouterr().out)["settings"] if r["key"] == "controller.end_effector"]
+    assert [(r["choice"], r["default"]) for r in rows[-2:]] == [
+        ("controller=taskspace", "`5.02`"), ("controller=lqr, scheduled-lqr", "`0.25`"),
+    ]  # fmt: skip
+    assert main(words) == 0
+    shown = capsys.readouterr().out
+    assert "controller=taskspace" in shown and "controller=lqr, scheduled-lqr" in " ".join(shown.split())

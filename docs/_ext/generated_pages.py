@@ -155,16 +155,22 @@ def _experiments() -> dict[str, Any]:
     return dict(registry.REGISTRY)
 
 
-def _section(title: str, model: type[BaseModel], usual: Container[tuple[str, str, str]] = ()) -> str:
+def _section(title: str, model: type[BaseModel], usual: Container[tuple[str, ...]] = ()) -> str:
     """A model's table, without the rows that are as ``usual``."""
-    rows = "\n".join("| `{}` | {} | {} |".format(*row) for row in _rows(model) if row not in usual)
+    rows = "\n".join("| {} | {} | {} | {} |".format(*row) for row in _rows(model) if row not in usual)
     prose = _prose((model.__doc__ or "").replace("|", "\\|"))
-    return f"## {title}\n\n{prose}\n\n| key | type and range | default |\n| --- | --- | --- |\n{rows}\n"
+    return f"## {title}\n\n{prose}\n\n| key | type and range | default | meaning |\n| --- | --- | --- | --- |\n{rows}\n"
 
 
-def _rows(model: type[BaseModel], prefix: str = "") -> list[tuple[str, str, str]]:
-    """Key, type and default of every field."""
-    return [(r.key, r.kind, r.default) for r in table.rows(model, prefix)]
+def _rows(model: type[BaseModel], prefix: str = "") -> list[tuple[str, ...]]:
+    """Key with the choice that it is of, type, default and meaning of every field."""
+    return [
+        (
+            f"`{r.key}`" + (f" of `{r.choice}`" if r.choice else ""), r.kind, r.default,
+            (f"[{r.unit}] " if r.unit else "") + r.help.replace("|", "\\|"),
+        )
+        for r in table.rows(model, prefix)
+    ]  # fmt: skip
 
 
 def changelog(path: Path) -> str:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from functools import reduce
+from functools import cache, reduce
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, did_you_mean
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
-#: The choice of an :class:`OnlyWith` that is made by any number above 0.
+#: The choice of :data:`Rules` that is made by any number above 0.
 POSITIVE = "> 0"
 #: The discriminator of settings that are one of several models.
 KIND = "kind"
@@ -24,90 +24,57 @@ KIND = "kind"
 MAX_FAULTS = 10
 
 
-class OnlyWith:
-    """Which choices of other settings read a setting: one of them is enough. Set without any of them, the setting is an error
-    (:func:`reject_unread`). No choice at all: nothing reads it.
-
-    It stands beside the setting's type, or under the setting's dotted key in the class variable ``only_with`` of its model or of a
-    model that contains it. A choice is a value, several, or :data:`POSITIVE`; of a setting that is a tuple, one of its entries.
-    ``rule & rule``: both are needed; ``rule | rule``: one is::
-
-        amplitude: Annotated[float, OnlyWith(variant=("horizontal", "vertical"))] = 0.5
-        only_with = {"plant.gyro_noise": OnlyWith(estimator="filter")}
-    """
-
-    def __init__(self, choices: Mapping[str, Any] | None = None, **more: Any) -> None:
-        rules = {**(choices or {}), **more}
-        self.clauses: tuple[dict[str, tuple[Any, ...]], ...] = (
-            {name: value if isinstance(value, tuple) else (value,) for name, value in rules.items()},
-        )
-
-    def __repr__(self) -> str:
-        return f"OnlyWith({' or '.join(map(str, self.clauses))})"
-
-    def __and__(self, other: OnlyWith) -> OnlyWith:
-        both = OnlyWith()
-        both.clauses = self.clauses + other.clauses
-        return both
-
-    def __or__(self, other: OnlyWith) -> OnlyWith:
-        one = OnlyWith()
-        one.clauses = tuple({**mine, **theirs} for mine in self.clauses for theirs in other.clauses)
-        return one
-
-    def missing(self, settings: BaseModel) -> list[tuple[str, Any]] | None:
-        """The choices (dotted key, value) of which one is needed and none is made; None where nothing is missing."""
-        for clause in self.clauses:
-            if not any(_chosen(reduce(getattr, name.split("."), settings), values) for name, values in clause.items()):
-                return [(name, value) for name, values in clause.items() for value in values]
-        return None
-
-    def given(self, name: str, *values: Any) -> OnlyWith | None:
-        """What is left of the rule where ``name`` has all of these values at once; None: nothing is."""
-        left = OnlyWith()
-        left.clauses = tuple(c for c in self.clauses if not set(values) & set(c.get(name, ())))
-        return left if left.clauses else None
+#: Choices by the dotted key of a setting that they read: key and value of another setting (several values, or :data:`POSITIVE`; of a
+#: setting that is a tuple, one of its entries). One of them is enough; none: nothing reads it.
+Rules = Mapping[str, Mapping[str, Any]]
 
 
-#: Rules by dotted key.
-Rules = Mapping[str, OnlyWith]
-
-
-def unused(*names: str) -> dict[str, OnlyWith]:
-    """Rules for settings that nothing reads whatever is chosen."""
-    return dict.fromkeys(names, OnlyWith())
-
-
-def with_all(rules: Rules, name: str, *values: Any) -> dict[str, OnlyWith]:
-    """What is left of rules where ``name`` has all of these values at once."""
-    left = {key: rule.given(name, *values) for key, rule in rules.items()}
-    return {key: rule for key, rule in left.items() if rule is not None}
-
-
-def _chosen(value: Any, choices: tuple[Any, ...]) -> bool:
-    if choices == (POSITIVE,):
-        return bool(value > 0)
-    return any(v in choices for v in (value if isinstance(value, tuple) else (value,)))
-
-
-def _choice(prefix: str, name: str, value: Any) -> str:
-    text = str(value).lower() if isinstance(value, bool) else str(value)
-    return f"{prefix}{name} {text}" if value == POSITIVE else f"{prefix}{name}={text}"
+@cache
+def rules(model: type[BaseModel]) -> Rules:
+    """Those in the class variable ``only_with`` of a model and of its bases."""
+    return {key: rule for kind in reversed(model.__mro__) for key, rule in vars(kind).get("only_with", {}).items()}
 
 
 def reject_unread(settings: BaseModel) -> None:
     """Raise an error of pydantic's type "unread" for the first setting that is neither its default nor 0 (nothing of it) and that
-    nothing reads, see :class:`OnlyWith`."""
-    kind = type(settings)
-    beside = [
-        (n, rule) for n, info in kind.model_fields.items() for rule in info.metadata if isinstance(rule, OnlyWith)
-    ]
-    for name, rule in (*getattr(kind, "only_with", {}).items(), *beside):
-        missing = rule.missing(settings) if _is_set(settings, name) else None
-        if missing is not None:
-            raise PydanticCustomError(
-                "unread", "{text}", {"text": unread_text(name, missing), "name": name, "missing": missing}
-            )
+    nothing reads: by its rule (:func:`rules`), or because what is chosen names it, or its section, in the class variable ``ignores``:
+    dotted keys of the settings that contain the choice::
+
+        only_with: ClassVar[Rules] = {"amplitude": {"variant": ("horizontal", "vertical")}, "cost.speed_slack": {"mpc.limits": "hard"}}
+    """
+    model = type(settings)
+    for key, rule in rules(model).items():
+        choices = [(name, v) for name, value in rule.items() for v in (value if isinstance(value, tuple) else (value,))]
+        chosen = any(_chosen(reduce(getattr, name.split("."), settings), value) for name, value in choices)
+        if not chosen and (found := _changed(settings, key)):
+            raise _unread(found, choices)
+    for name, info in model.model_fields.items():
+        for key in getattr(getattr(settings, name), "ignores", ()):
+            if found := _changed(settings, key):
+                readers = [k for k, m in _by_kind(_models_of(info.annotation)).items() if not _ignored(found, m)]
+                raise _unread(found, [(f"{name}.{KIND}", k) for k in readers])
+
+
+def _chosen(value: Any, choice: Any) -> bool:
+    if choice == POSITIVE:
+        return bool(value > 0)
+    return choice in (value if isinstance(value, tuple) else (value,))
+
+
+def _ignored(key: str, choice: type[BaseModel]) -> bool:
+    return any(f"{key}.".startswith(f"{k}.") for k in getattr(choice, "ignores", ()))
+
+
+def _choice(prefix: str, name: str, value: Any) -> str:
+    text = str(value).lower() if isinstance(value, bool) else str(value)
+    name = f"{prefix}{name}".removesuffix(f".{KIND}")
+    return f"{name} {text}" if value == POSITIVE else f"{name}={text}"
+
+
+def _unread(name: str, missing: list[tuple[str, Any]]) -> PydanticCustomError:
+    return PydanticCustomError(
+        "unread", "{text}", {"text": unread_text(name, missing), "name": name, "missing": missing}
+    )
 
 
 def unread_text(name: str, missing: list[tuple[str, Any]], prefix: str = "") -> str:
@@ -117,26 +84,47 @@ def unread_text(name: str, missing: list[tuple[str, Any]], prefix: str = "") -> 
     return f"{prefix}{name}: nothing uses it without " + " or ".join(_choice(prefix, *choice) for choice in missing)
 
 
-def _is_set(settings: BaseModel, name: str) -> bool:
-    """Whether a setting is neither as by default nor 0; false counts."""
-    first, *rest = name.split(".")
-    info = type(settings).model_fields[first]
+def _changed(settings: BaseModel, key: str) -> str:
+    """The key of a setting, or of the first one in a section, that is neither as by default nor 0 (false counts); "" where there is none."""
+    first, _, rest = key.partition(".")
+    info = type(settings).model_fields.get(first)
+    if info is None:
+        return ""
     # pydantic's own copies the default each time, which takes a hundred times as long as comparing it
     usual = info.default if info.default_factory is None else info.get_default(call_default_factory=True)
-    usual = reduce(getattr, rest, usual)
-    value = reduce(getattr, rest, getattr(settings, first))
-    return bool(value != usual) and (value is False or value != 0)
+    return _difference(getattr(settings, first), usual, first, rest)
 
 
-def kind_alone(value: Any) -> Any:
-    """``legs: support`` for ``legs: {kind: support}``: a validator of settings that are one of several models."""
+def _difference(value: Any, usual: Any, key: str, rest: str) -> str:
+    """The first key at ``rest`` below ``key`` whose value is another one than the usual."""
+    if not rest and not (isinstance(value, BaseModel) and type(value) is type(usual)):
+        return key if value != usual and (value is False or value != 0) else ""
+    first, _, rest = rest.partition(".")
+    usual = usual if type(usual) is type(value) else type(value)()
+    names = [n for n in type(value).model_fields if first in ("", n)]  # none of another kind
+    found = (_difference(getattr(value, n), getattr(usual, n), f"{key}.{n}", rest) for n in names)
+    return next(filter(None, found), "")
+
+
+def _kind_alone(value: Any) -> Any:
     return {KIND: value} if isinstance(value, str) else value
+
+
+T = TypeVar("T")
+#: ``OneOf[A | B]``: settings that are one of several models, which their ``kind`` selects; it alone will do: ``legs: support`` for
+#: ``legs: {kind: support}``.
+OneOf = Annotated[T, Field(discriminator=KIND), BeforeValidator(_kind_alone)]
 
 
 def _models_of(annotation: Any) -> list[type[BaseModel]]:
     """The models that a field may hold: one, or several that its ``kind`` selects."""
     found = [c for c in (annotation, *get_args(annotation)) if isinstance(c, type) and issubclass(c, BaseModel)]
     return found if len(found) < 2 or all(KIND in m.model_fields for m in found) else found[:1]
+
+
+def _by_kind(models: Iterable[type[BaseModel]]) -> dict[str, type[BaseModel]]:
+    """The models that a ``kind`` selects, by it."""
+    return {k: m for m in models if KIND in m.model_fields for k in get_args(m.model_fields[KIND].annotation)}
 
 
 def keys(model: type[BaseModel], prefix: str = "") -> list[str]:
@@ -224,8 +212,7 @@ def _types(model: type[BaseModel], key: str) -> list[Any]:
 
 def _kinds(model: type[BaseModel], key: str) -> dict[str, type[BaseModel]]:
     """The models by kind that a setting is one of; empty for other settings."""
-    found = [m for kind in _types(model, key) for m in _models_of(kind)]
-    return {k: m for m in found if KIND in m.model_fields for k in get_args(m.model_fields[KIND].annotation)}
+    return _by_kind(m for kind in _types(model, key) for m in _models_of(kind))
 
 
 def _known(model: type[BaseModel], key: str, value: Any, valid: list[str]) -> str | None:
@@ -242,7 +229,7 @@ def has_truths(value: Any) -> bool:
     return isinstance(value, bool) or (isinstance(value, Mapping | list | tuple) and any(map(has_truths, inside)))
 
 
-def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
+def _insert(model: type[BaseModel], tree: dict[str, Any], key: str, value: Any) -> None:
     """Put ``value`` in its place. A section that is left out by default begins empty: its model knows what else is in it."""
     *parents, last = key.split(".")
     for parent in parents:
@@ -251,6 +238,8 @@ def _insert(tree: dict[str, Any], key: str, value: Any) -> None:
         tree = tree[parent]
     if last == KIND and tree.get(KIND) != value:
         tree.clear()  # what is there is of another kind
+        kind = _kinds(model, ".".join(parents)).get(str(value))
+        tree |= {} if kind is None else kind.model_construct().model_dump()
     tree[last] = value
 
 
@@ -263,12 +252,13 @@ def _check_kind(model: type[BaseModel], key: str, settings: Mapping[str, Any], w
         kind = reduce(lambda tree, part: tree[part], parts[:depth], settings).get(KIND) if kinds else None
         if isinstance(kind, str) and kind in kinds and name not in kinds[kind].model_fields:
             owners = [(f"{section}.{KIND}", k) for k, m in kinds.items() if name in m.model_fields]
-            raise InputError(f"{where}: --set {unread_text(key, owners)}")
+            valid = ", ".join(n for n in kinds[kind].model_fields if n != KIND) or "nothing else"
+            raise InputError(f"{where} {unread_text(key, owners)}; valid in {section}={kind}: {valid}")
 
 
 def _kinds_first(pairs: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
-    """Keys and values, those of kinds first: the keys of a section depend on it."""
-    return sorted(pairs, key=lambda pair: pair[0].rpartition(".")[2] != KIND)
+    """Keys and values, those of kinds first, outer ones before inner ones: the keys of a section depend on it."""
+    return sorted(pairs, key=lambda pair: pair[0].count(".") if pair[0].rpartition(".")[2] == KIND else math.inf)
 
 
 def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> list[tuple[str, Any]]:
@@ -288,7 +278,7 @@ def _keys_of(place: tuple[int | str, ...], model: type[BaseModel] | None) -> tup
     """The keys of a fault's place: pydantic puts the kind of a section that is one of several models among them."""
     keys_, models = [], [] if model is None else [model]
     for part in place:
-        kinds = {k: m for m in models if KIND in m.model_fields for k in get_args(m.model_fields[KIND].annotation)}
+        kinds = _by_kind(models)
         if len(models) > 1 and part in kinds:
             models = [kinds[str(part)]]
             continue
@@ -378,9 +368,9 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str, fi
     of_file = [] if file is None else _of_file(model, file, where)
     pairs = [*of_file, *_pairs(model, assignments, where)]
     for key, value in pairs:
-        _insert(settings, key, value)
-    for key, _ in pairs:
-        _check_kind(model, key, settings, where)
+        _insert(model, settings, key, value)
+    for k, (key, _) in enumerate(pairs):
+        _check_kind(model, key, settings, f"{where}: --set" if k >= len(of_file) else f"{file}: key")
     try:
         return model.model_validate(settings)
     except ValidationError as error:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wbmpc.configuration import kind_alone, reject_booleans, reject_unread
+from wbmpc.configuration import OneOf, reject_booleans, reject_unread
 from wbmpc.robots import load_description
 from wbmpc.solver import SQP, InteriorPoint
 
@@ -42,7 +42,7 @@ Robot = Annotated[str, ReadBy(load_description)]
 
 
 class Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, and so are keys that nothing reads (:class:`wbmpc.configuration.OnlyWith`); values are
+    """Base of all settings: unknown keys are errors, and so are keys that nothing reads (:func:`wbmpc.configuration.reject_unread`); values are
     frozen. Of those that have one, ``robot``: name of a built-in robot, or a robot file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
@@ -118,9 +118,7 @@ class SupportMarginSettings(StabilitySettings):
 
 
 #: What plans keep.
-Stability = Annotated[
-    NoStability | WheelLoadSettings | SupportMarginSettings, Field(discriminator="kind"), BeforeValidator(kind_alone)
-]
+Stability = OneOf[NoStability | WheelLoadSettings | SupportMarginSettings]
 
 
 class ControlSettings(Settings):

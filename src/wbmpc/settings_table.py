@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -15,14 +15,15 @@ from pydantic_core import PydanticUndefined
 
 @dataclass(frozen=True)
 class Row:
-    """A setting: its dotted ``key``, ``kind`` (type and range), ``default``, and the ``unit`` and ``help`` that the docstring of its model
-    has for it ("" where it has none)."""
+    """A setting: its dotted ``key``, ``kind`` (type and range), ``default``, the ``unit`` and ``help`` that the docstring of its model
+    has for it ("" where it has none), and the ``choice`` that it belongs to ("" for all): a key may be there once for each choice."""
 
     key: str
     kind: str
     default: str
     unit: str = ""
     help: str = ""
+    choice: str = ""
 
 
 def rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = None) -> Iterator[Row]:
@@ -34,16 +35,27 @@ def rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = No
         if kinds:
             # the chosen one last: its values are the defaults of keys that several have
             ordered = [*(m for m in kinds if m is not type(value)), *(m for m in kinds if m is type(value))]
-            own = [r for m in ordered for r in rows(m, f"{prefix}{name}.", value if type(value) is m else None)]
             chosen = ", ".join(f"`{k}`" for m in kinds for k in _kind_names(m))
             yield Row(f"{prefix}{name}.kind", chosen, f"`{value.kind}`", *texts.get(name, ("", "")))
-            yield from {r.key: r for r in own if r.key != f"{prefix}{name}.kind"}.values()
+            yield from _of_kinds(f"{prefix}{name}", ordered, value)
         elif isinstance(value, BaseModel):
             yield from rows(type(value), f"{prefix}{name}.", value)
         else:
             bounds = ", ".join(_bound(m) for m in info.metadata if _bound(m))
             kind = _kind(info.annotation) + (f", {bounds}" if bounds else "")
             yield Row(prefix + name, kind, _default(value), *texts.get(name, ("", "")))
+
+
+def _of_kinds(section: str, models: list[type[BaseModel]], value: BaseModel) -> Iterator[Row]:
+    """The settings of a section that is one of several models, of which the last one is chosen."""
+    found: dict[Row, list[type[BaseModel]]] = {}
+    for model in models:
+        for row in rows(model, f"{section}.", value if type(value) is model else None):
+            if row.key != f"{section}.kind":
+                found.setdefault(row, []).append(model)
+    for row, owners in sorted(found.items(), key=lambda item: models[-1] in item[1]):
+        names = ", ".join(k for m in owners for k in _kind_names(m))
+        yield row if row.choice or len(owners) == len(models) else replace(row, choice=f"{section}={names}")
 
 
 def _texts(model: type[BaseModel]) -> dict[str, tuple[str, str]]:

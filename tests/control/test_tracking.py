@@ -17,6 +17,7 @@ from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.registry import REGISTRY
+from wbmpc.studies.minniti2019.controller_settings import WholeBodyMpc
 from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
 
@@ -97,7 +98,9 @@ def test_drives_close_the_loop_between_commands() -> None:
 
 def test_a_push_with_the_papers_tracking() -> None:
     tracking = {"kind": "actuators"}
-    settings = RezeroPushHandSettings(forces=(30.0,), settle_time=0.5, pause=2.0, tracking=tracking)
+    settings = RezeroPushHandSettings(
+        forces=(30.0,), settle_time=0.5, pause=2.0, controller=WholeBodyMpc(tracking=tracking)
+    )
     result = REGISTRY["rezero-push-hand"].run(settings, 0, None)
     assert result.completed, result.reason
     assert 0.01 < result.metrics["hand_error_max"].value < 0.3

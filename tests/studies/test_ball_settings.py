@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from wbmpc.registry import REGISTRY
 from wbmpc.settings import Settings
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
-from wbmpc.studies.minniti2019.baselines import RegulatorSettings, regulator_weights
+from wbmpc.studies.minniti2019.baselines import regulator_weights
+from wbmpc.studies.minniti2019.controller_settings import Regulator
 from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.task import BENT_ARM, Task
@@ -28,31 +30,35 @@ BALL = [n for n in REGISTRY if issubclass(REGISTRY[n].config_type, RezeroSetting
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("rezero-door", "controller=lqr"), ("rezero-door", "tracking.kind=actuators"),
+        ("rezero-door", "controller=lqr"), ("rezero-door", "tracking=actuators"),
         ("rezero-door", "max_pushed_speed=1"),
         ("rezero-frequency", "controller=separate"), ("rezero-frequency", "actuator_dead_time=0.02"),
         ("rezero-frequency", "expected_push_time=0.1"), ("rezero-door", "expected_push_time=0.1"),
         ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "expected_push_time=0.1"), ("rezero-steps", "cost.torque.force=2"),
+        ("rezero-push-limit-hand", "forces=[8]"), ("slip", "forces=[8]"), ("touch", "door=heavy"),
     ],
 )  # fmt: skip
-def test_what_an_experiment_does_not_use_is_rejected(name: str, given: str) -> None:
-    with pytest.raises(
-        InputError, match=rf"{name}: --set {given.split('=')[0].removesuffix('.kind')}: this experiment does not use it"
-    ):
+def test_what_an_experiment_does_not_use_is_no_key(name: str, given: str) -> None:
+    with pytest.raises(InputError, match=rf"{name}: --set: unknown key '{given.split('=')[0]}'.*; valid"):
+        configure(REGISTRY[name].config_type, [given], name)
+
+
+@pytest.mark.parametrize(("name", "given"), [("rezero-door", "cost.end_effector.turn_limit=1"), ("touch", "speed=0.2")])
+def test_what_is_there_for_another_experiment_is_rejected(name: str, given: str) -> None:
+    with pytest.raises(InputError, match=rf"{name}: --set {given.split('=')[0]}: this experiment does not use it"):
         configure(REGISTRY[name].config_type, [given], name)
 
 
 @pytest.mark.parametrize(
     ("given", "name"),
     [
-        ("controller=lqr expected_push_time=0.5", "expected_push_time"),
-        ("controller=lqr max_pushed_speed=1", "max_pushed_speed"),
-        ("controller=lqr estimate_payload=false", "estimate_payload"),
-        ("controller=lqr tracking.kind=actuators", "tracking"),
-        ("controller=lqr baseline.scheduled_lqr.torque=3", "baseline.scheduled_lqr"),
-        ("controller=separate actuator_dead_time=0.005", "actuator_dead_time"),
-        ("tracking.kind=actuators actuator_dead_time=0.005", "actuator_dead_time"),
-        ("baseline.lqr.torque=3", "baseline.lqr"),
+        ("controller=lqr controller.expected_push_time=0.5", "controller.expected_push_time"),
+        ("controller=lqr controller.max_pushed_speed=1", "controller.max_pushed_speed"),
+        ("controller=lqr controller.estimate_payload=false", "controller.estimate_payload"),
+        ("controller=lqr controller.tracking=actuators", "controller.tracking.kind"),
+        ("controller=lqr controller.pace=3", "controller.pace"),
+        ("controller=separate controller.actuator_dead_time=0.005", "controller.actuator_dead_time"),
+        ("controller.torque=3", "controller.torque"),
         ("controller=lqr mpc.horizon=2", "mpc.horizon"),
         ("controller=scheduled-lqr mpc.limits=soft", "mpc.limits"),
         ("controller=taskspace mpc.iterations=2", "mpc.iterations"),
@@ -70,6 +76,32 @@ def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> 
 
 
 @pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("controller.torque=3", "controller.torque: nothing uses it without controller=lqr or controller=scheduled-lqr; "
+         "valid in controller=mpc: expected_push_time, max_pushed_speed, estimate_payload, tracking"),
+        ("controller=taskspace controller.tracking=actuators", "controller.tracking.kind: nothing uses it without controller=mpc; valid in"),
+        ("controller.tracking=actuators controller.tracking.actuator_dead_time=0.005",
+         "controller.tracking.actuator_dead_time: nothing uses it without controller.tracking=policy; valid in controller.tracking=actuators: "),
+        ("controller=lqr cost.lean=0.5", "cost.lean: nothing uses it without controller=mpc or controller=separate or controller=sep"),
+        ("controller=separate cost.torque.arm=9", "cost.torque.arm: nothing uses it without controller=mpc or controller=lqr or controller=sch"),
+        ("controller=pid", "controller.kind='pid': valid: mpc, lqr, scheduled-lqr, separate, separate-integral, separate-aware, taskspace"),
+        ("controller=lqr controller.torqe=3", "unknown key 'controller.torqe' (did you mean 'controller.torque'?)"),
+    ],
+)  # fmt: skip
+def test_a_message_names_the_choices_that_read_a_setting(given: str, message: str, tmp_path: Path) -> None:
+    """And the keys of the choice that is made, and the file. Truth: the models of the controllers."""
+    with pytest.raises(InputError) as error:
+        configure(RezeroPushHandSettings, given.split(), "rezero-push-hand")
+    assert message in str(error.value) and str(error.value).startswith("rezero-push-hand: --set")
+    file = tmp_path / "settings.yaml"
+    file.write_text("".join(f"{a.replace('=', ': ')}\n" for a in given.split()))
+    with pytest.raises(InputError) as error:
+        configure(RezeroPushHandSettings, [], "rezero-push-hand", file)
+    assert message in str(error.value) and str(file) in str(error.value)
+
+
+@pytest.mark.parametrize(
     ("name", "given", "unread", "other"),
     [
         ("rezero-steps", "estimator=truth plant.gyro_noise=1e-3", "plant.gyro_noise", "estimator=filter"),
@@ -79,8 +111,8 @@ def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> 
         ("rezero-steps", "mpc.limits=soft cost.speed_slack=3", "cost.speed_slack", "mpc.limits=hard"),
         (
             "rezero-steps",
-            "estimate_disturbance=false estimate_payload=false",
-            "estimate_payload",
+            "estimate_disturbance=false controller.estimate_payload=false",
+            "controller.estimate_payload",
             "estimate_disturbance=true",
         ),
         (
@@ -93,16 +125,16 @@ def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> 
             "rezero-door",
             "scheme.contact=wrench scheme.contact.max_rate=0.1",
             "scheme.contact.max_rate",
-            "scheme.contact.kind=door",
+            "scheme.contact=door",
         ),
         (
             "rezero-door",
             "scheme.contact=wrench scheme.contact.baumgarte=3",
             "scheme.contact.baumgarte",
-            "scheme.contact.kind=door",
+            "scheme.contact=door",
         ),
-        ("rezero-door", "scheme.cone=none scheme.cone.friction=0.9", "scheme.cone.friction", "scheme.cone.kind=cone"),
-        ("rezero-door", "scheme.cone=none scheme.cone.min_push=2", "scheme.cone.min_push", "scheme.cone.kind=cone"),
+        ("rezero-door", "scheme.cone=none scheme.cone.friction=0.9", "scheme.cone.friction", "scheme.cone=cone"),
+        ("rezero-door", "scheme.cone=none scheme.cone.min_push=2", "scheme.cone.min_push", "scheme.cone=cone"),
         ("rezero-door", "cost.lean=0 lean_share=0.9", "lean_share", "cost.lean > 0"),
         ("rezero-frequency", "variants=['plain'] filters.arm_zero=30", "filters.arm_zero", "variants=shaped"),
         ("rezero-circle", "yaw=free cost.body.yaw=3", "cost.body.yaw", "yaw=held"),
@@ -126,15 +158,15 @@ def leaves(part: Settings, name: str = "cost") -> list[str]:
 def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
     """Truth: whether its weights are other ones when a number of the costs is."""
     robot, usual = load_robot("rezero"), RezeroPushHandSettings()
-    previous = regulator_weights(robot, usual, RegulatorSettings())
-    names = set(leaves(usual.cost)) - {"cost.torque.force", "cost.torque.moment"}
+    previous = regulator_weights(robot, usual, Regulator())
+    names = set(leaves(usual.cost))
     for name in names:
         given = {"cost": usual.cost.model_copy(deep=True)}
         *path, key = name.split(".")[1:]
         part = reduce(getattr, path, given["cost"])
         changed = 0.5 * getattr(part, key) + 0.07
         object.__setattr__(part, key, changed)  # settings are frozen
-        after = regulator_weights(robot, usual.model_copy(update=given), RegulatorSettings())
+        after = regulator_weights(robot, usual.model_copy(update=given), Regulator())
         reads = any(
             not np.array_equal(getattr(previous, f), getattr(after, f))
             for f in ("end_effector", "twist", "state", "torque")
@@ -155,26 +187,34 @@ def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
 )
 def test_room_for_pushes_needs_a_limit_and_an_estimate(without: str, needed: str) -> None:
     with pytest.raises(InputError, match=f"expected_push_time: nothing uses it without {needed}"):
-        configure(RezeroPushHandSettings, ["expected_push_time=0.5", without], "rezero-push-hand")
-    configure(RezeroPushHandSettings, ["expected_push_time=0", without], "rezero-push-hand")
+        configure(RezeroPushHandSettings, ["controller.expected_push_time=0.5", without], "rezero-push-hand")
+    configure(RezeroPushHandSettings, ["controller.expected_push_time=0", without], "rezero-push-hand")
     configure(RezeroPushHandSettings, [without], "rezero-push-hand")
 
 
 def test_the_speed_at_which_learned_forces_end_a_run_needs_some_that_are_learned() -> None:
     with pytest.raises(
-        InputError, match="rezero-push-hand: --set max_pushed_speed: nothing uses it without estimate_disturbance=true"
+        InputError,
+        match=r"rezero-push-hand: --set controller\.max_pushed_speed: nothing uses it without estimate_disturbance=true",
     ):
-        configure(RezeroPushHandSettings, ["estimate_disturbance=false", "max_pushed_speed=1"], "rezero-push-hand")
-    configure(RezeroPushHandSettings, ["estimate_disturbance=true", "max_pushed_speed=1"], "rezero-push-hand")
+        configure(
+            RezeroPushHandSettings, ["estimate_disturbance=false", "controller.max_pushed_speed=1"], "rezero-push-hand"
+        )
+    configure(
+        RezeroPushHandSettings, ["estimate_disturbance=true", "controller.max_pushed_speed=1"], "rezero-push-hand"
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("rezero-push-hand", "controller=scheduled-lqr baseline.scheduled_lqr.torque=3 actuator_dead_time=0.005"),
-        ("rezero-push-hand", "tracking.kind=actuators tracking.wheel_damping=0.1"),
-        ("rezero-push-hand", "expected_push_time=0.5 estimate_payload=false actuator_dead_time=0.005"),
-        ("rezero-taskspace", "baseline.taskspace.end_effector=4 actuator_dead_time=0.005"),
+        ("rezero-push-hand", "controller=scheduled-lqr controller.torque=3 controller.actuator_dead_time=0.005"),
+        ("rezero-push-hand", "controller.tracking=actuators controller.tracking.wheel_damping=0.1"),
+        (
+            "rezero-push-hand",
+            "controller.expected_push_time=0.5 controller.estimate_payload=false controller.tracking.actuator_dead_time=0.005",
+        ),
+        ("rezero-taskspace", "taskspace.end_effector=4 tracking.actuator_dead_time=0.005"),
         ("rezero-taskspace", "mpc.horizon=2 cost.end_effector.weight=10"),
         (
             "rezero-push-hand",
@@ -236,13 +276,13 @@ def test_defaults_and_what_is_used_are_taken(name: str) -> None:
     )
     assert usual.cost.torque.wheel == 0.3
     if name not in ("rezero-door", "rezero-frequency", "rezero-taskspace", "touch", "slip"):
-        assert configure(kind, ["controller=lqr", "cost.body.ball_speed=0.5"], name).controller == "lqr"
+        assert configure(kind, ["controller=lqr", "cost.body.ball_speed=0.5"], name).controller.kind == "lqr"
 
 
 def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
     robot, settings = load_robot("rezero"), RezeroPushHandSettings()
-    usual = regulator_weights(robot, settings, RegulatorSettings())
-    of = lambda **factors: regulator_weights(robot, settings, RegulatorSettings(**factors))
+    usual = regulator_weights(robot, settings, Regulator())
+    of = lambda **factors: regulator_weights(robot, settings, Regulator(**factors))
     wheels, arm = robot.input["wheel"], robot.input["arm"]
     torque = usual.torque.copy()
     torque[wheels], torque[arm] = 3.0 * torque[wheels], 6.0 * torque[arm]

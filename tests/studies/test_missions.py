@@ -207,7 +207,7 @@ def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
 )
 def test_what_the_way_of_the_legs_does_not_read_is_rejected(legs: str, given: str) -> None:
     settings, other = REGISTRY["swerve-unified"].config_type, {"support": "targets", "targets": "support"}[legs]
-    with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it without legs.kind={other}"):
+    with pytest.raises(InputError, match=rf"{given.partition('=')[0]}: nothing uses it without legs={other}; valid in"):
         configure(settings, [f"legs={legs}", given], "swerve-unified")
     configure(settings, [f"legs={other}", given], "swerve-unified")
 
@@ -226,12 +226,12 @@ FILE = "calibration=wheels.yaml"
         (
             "swerve-track",
             [FILE, "lidar.position=0.5"],
-            "lidar: nothing uses it without localization=lidar or calibration=drive",
+            "lidar.position: nothing uses it without localization=lidar or calibration=drive",
         ),
         (
             "swerve-plaster",
             [FILE, "localization=none", "lidar.rate=5"],
-            "lidar: nothing uses it without localization=lidar or calibration=drive",
+            "lidar.rate: nothing uses it without localization=lidar or calibration=drive",
         ),
         ("swerve-fixed", ["motions=[]", "random_time=0"], "motions: none is left, and random_time is 0"),
         (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import frequency as rezero_frequency
 from wbmpc.studies.minniti2019 import push as rezero_push
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
+from wbmpc.studies.minniti2019.controller_settings import WholeBodyMpc
 from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import common_plots
 from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -48,7 +48,7 @@ def test_every_experiment_takes_a_robot_and_rejects_one_without_a_ball(
 @pytest.mark.parametrize(
     ("name", "module", "build"),
     [
-        ("rezero-push-hand", rezero_push, partial(rezero_push.build, "hand")),
+        ("rezero-push-hand", rezero_push, rezero_push.build),
         ("rezero-circle", rezero_circle, rezero_circle.build),
         ("rezero-wholebody", rezero_wholebody, rezero_wholebody.build),
     ],
@@ -70,7 +70,9 @@ def test_its_task_is_its_own(
 
 def test_what_is_asked_of_its_model(own: RobotModel) -> None:
     settings = RezeroSettings(robot=own.description.source)
-    assert "payload" in robot_of(settings).parameters and "payload" not in ball_robot(settings).parameters
+    assert (
+        "payload" in robot_of(settings, WholeBodyMpc()).parameters and "payload" not in ball_robot(settings).parameters
+    )
     assert "force" in ball_robot(settings, contact="force").input.groups
     assert bent_arm(RezeroSettings(), own) is BENT_ARM
     # contacts that its file has for other purposes are not inputs of the tasks

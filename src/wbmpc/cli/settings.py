@@ -26,11 +26,13 @@ def show_settings(model: type[BaseModel], name: str, as_json: bool, values: Base
         typer.echo(json.dumps({"experiment": name, "settings": [asdict(row) for row in found]}))
         return
     shown = table(f"settings of {name} (--set KEY=VALUE, or a YAML file with --config)")
-    for title in ("setting", "default" if values is None else "value", "unit", "type and range", "meaning"):
+    of = {"of": "choice"} if any(row.choice for row in found) else {}
+    value = "default" if values is None else "value"
+    columns = {"setting": "key", **of, value: "default", "unit": "unit", "type and range": "kind", "meaning": "help"}
+    for title in columns:
         shown.add_column(title)
     for row in found:
-        cells = (row.key, row.default.strip("`"), row.unit, row.kind.replace("`", ""), row.help)
-        shown.add_row(*cells)
+        shown.add_row(*(getattr(row, field).replace("`", "") for field in columns.values()))
     console().print(shown)
 
 

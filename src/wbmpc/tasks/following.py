@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from wbmpc.configuration import kind_alone
+from wbmpc.configuration import OneOf
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -48,9 +48,7 @@ class PathTaskSettings(TaskSettings):
     progress along the path (:class:`ProgressReference`)."""
 
     path: AnyPath = Line()
-    reference: Annotated[
-        ClockReference | ProgressReference, Field(discriminator="kind"), BeforeValidator(kind_alone)
-    ] = ClockReference()
+    reference: OneOf[ClockReference | ProgressReference] = ClockReference()
 
 
 class Task:

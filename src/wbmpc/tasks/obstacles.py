@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
-from wbmpc.configuration import OnlyWith
+from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -56,8 +56,10 @@ class Among(PathTaskSettings):
     does not."""
 
     path: AnyPath = Line(length=4.0)
-    patience: Annotated[float, OnlyWith({"reference.kind": "clock"})] = Field(6.0, ge=0.0, le=600.0)
+    patience: float = Field(6.0, ge=0.0, le=600.0)
     when_stuck: Literal["alternatives", "wait"] = "alternatives"
+
+    only_with: ClassVar[Rules] = {"patience": {"reference.kind": "clock"}}
 
 
 #: Speed of a person who crosses [m/s].

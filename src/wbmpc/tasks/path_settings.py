@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.checks import parse_number
-from wbmpc.configuration import kind_alone
+from wbmpc.configuration import OneOf
 from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
 from wbmpc.model.robot import RobotModel
@@ -244,9 +244,7 @@ def _dense(points: Array, turns: Array) -> Curve:
 
 
 #: One of them, by its ``kind``.
-AnyPath = Annotated[
-    Annotated[Line | Circle | Sine | Poses | Table, Field(discriminator="kind")], BeforeValidator(kind_alone)
-]
+AnyPath = OneOf[Line | Circle | Sine | Poses | Table]
 
 
 def duration(length: float, speed: float) -> float:

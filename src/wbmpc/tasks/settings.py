@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from wbmpc.bases import base_type
-from wbmpc.configuration import OnlyWith
+from wbmpc.configuration import Rules
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
@@ -37,11 +37,13 @@ class SimulationSettings(Settings):
     (docs/how-to/obstacles.md)."""
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
-    plant: Annotated[AnyPerturbation, OnlyWith(physics="mujoco")] = AnyPerturbation()
+    plant: AnyPerturbation = AnyPerturbation()
     computation_delay: float = Field(0.010, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
-    calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "none"
+    calibration: Literal["none", "drive"] = "none"
     obstacles: Annotated[Path | None, ReadBy(load_scene)] = None
+
+    only_with: ClassVar[Rules] = {"plant": {"physics": "mujoco"}, "calibration": {"physics": "mujoco"}}
 
 
 class TaskMpcSettings(Settings):

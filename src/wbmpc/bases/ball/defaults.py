@@ -57,13 +57,10 @@ class BodyCost(Settings):
 
 
 class TorqueCost(Settings):
-    """Weights. ``wheel``: weight of the wheels' torques; ``arm``: weight of arm torques beyond what holds the arm where it is;
-    ``force``: weight of contact forces that are inputs; ``moment``: weight of contact moments that are inputs."""
+    """Weights. ``wheel``: weight of the wheels' torques; ``arm``: weight of arm torques beyond what holds the arm where it is."""
 
     wheel: Weight = 0.05
     arm: Weight = 0.005
-    force: Weight = 1.0
-    moment: Weight = 1.0
 
 
 class RezeroCost(Settings):
@@ -109,7 +106,7 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="path+terminal", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="path+terminal", terminal_weight=end))
-    inputs = {"wheel": t.wheel, "arm": 0.0, "force": t.force, "moment": t.moment}
+    inputs = {"wheel": t.wheel, "arm": 0.0, "force": 1.0, "moment": 1.0}
     ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
     ocp.add(Cost("effort", ball_residuals.JointEffort(robot), t.arm))
     limit_arm(ocp, robot, settings, cost)

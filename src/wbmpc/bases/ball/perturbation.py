@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from wbmpc.configuration import kind_alone
+from wbmpc.configuration import OneOf
 from wbmpc.simulation.perturbation import Choice, InertialUnit, WheelRadii
 
 
@@ -32,7 +32,7 @@ class SeriesElasticDrives(Choice):
     torque_damping: float = Field(default=0.2, ge=0, le=2)
 
 
-Drives = Annotated[RigidDrives | SeriesElasticDrives, Field(discriminator="kind"), BeforeValidator(kind_alone)]
+Drives = OneOf[RigidDrives | SeriesElasticDrives]
 
 
 class BallPerturbation(InertialUnit, WheelRadii):

@@ -14,13 +14,13 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, rezero_problem
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.filter_state import BallNoise
+from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import lean_control_of
 from wbmpc.errors import FallPredicted
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
@@ -243,7 +243,11 @@ class BallRosAdapter(BaseAdapter):
             else None
         )
         home = robot.home[robot.state["arm"]]
-        self._lean_control = lean_control_of(settings, robot, home)
+        self._lean_control = (
+            LeanControl(robot, home, settings.cost.lean, settings.max_pushed_speed)
+            if settings.estimate_disturbance
+            else None
+        )
         self.controller = self._new_controller(robot.home)
 
     def _new_controller(self, x: Array) -> BusBallController:

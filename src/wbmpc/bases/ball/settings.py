@@ -1,16 +1,10 @@
-"""Default settings of the ball robot's controller: weights, the MPC's grid and rate, what is learned of the world."""
+"""Default settings of the ball robot's controller: weights, the MPC's grid and rate, pushes."""
 
 from __future__ import annotations
 
-from typing import Annotated, Protocol
-
-import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
-from wbmpc.bases.ball.lean_control import LeanControl
-from wbmpc.configuration import OnlyWith
-from wbmpc.model.robot import RobotModel
 from wbmpc.settings import MpcSettings, Settings
 
 #: One set of weights for fast steps of the end effector and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
@@ -24,8 +18,10 @@ STEPS_AND_PUSHES = RezeroCost(
     lean=0.6,
     speed_slack=20.0,
 )
+#: How fast [m/s] the robot may be pushed along before it leans against the force.
+PUSHED_SPEED = 2.0
 #: Of settings that are of learned forces.
-LEARNED = OnlyWith(estimate_disturbance=True)
+LEARNED = {"estimate_disturbance": True}
 
 
 def mpc_settings(barrier_mu: float) -> MpcSettings:
@@ -35,39 +31,10 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
-class BallControllerSettings(Settings):
-    """``estimate_disturbance``: whether constant disturbances are estimated; ``estimate_payload``: whether a load at the end effector is one of
-    them, of which the MPC knows;
-    ``expected_push_time`` [s]: how much longer a detected push is expected to last, for the MPC's limit of the lean (0: pushes are ignored);
-    ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run;
-    ``actuator_time_constant`` [s]: that the controller assumes, in the middle of what may be; ``actuator_dead_time`` [s]: that the MPC's
-    policy and the regulators assume, the same."""
+class PushedSettings(Settings):
+    """Of an MPC that learns what pushes its robot. ``expected_push_time`` [s]: how much longer a detected push is expected to last, for
+    the MPC's limit of the lean (0: pushes are ignored); ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that
+    lasts ends the run."""
 
-    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
-    cost: RezeroCost = STEPS_AND_PUSHES
-    estimate_disturbance: bool = True
-    estimate_payload: Annotated[bool, LEARNED] = True
     expected_push_time: float = Field(0.3, ge=0, le=1.0)
-    max_pushed_speed: Annotated[float, LEARNED] = Field(2.0, ge=0.01, le=100)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
-    actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
-
-
-class BallControlSettings(Protocol):
-    """Settings of whatever controls a ball robot with the MPC."""
-
-    @property
-    def estimate_disturbance(self) -> bool: ...
-    @property
-    def cost(self) -> RezeroCost: ...
-    @property
-    def max_pushed_speed(self) -> float: ...
-
-
-def lean_control_of(settings: BallControlSettings, robot: RobotModel, arm: np.ndarray) -> LeanControl | None:
-    """How the MPC's robot leans against forces that it learns, its ``arm`` (m) [rad] about there; None if it learns none."""
-    return (
-        LeanControl(robot, arm, settings.cost.lean, settings.max_pushed_speed)
-        if settings.estimate_disturbance
-        else None
-    )
+    max_pushed_speed: float = Field(PUSHED_SPEED, ge=0.01, le=100)

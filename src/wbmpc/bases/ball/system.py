@@ -12,7 +12,7 @@ from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
+from wbmpc.bases.ball.settings import PUSHED_SPEED, STEPS_AND_PUSHES, mpc_settings
 from wbmpc.bases.base import System
 from wbmpc.default_problem import hold
 from wbmpc.model.robot import RobotModel
@@ -24,8 +24,6 @@ from wbmpc.simulation.lockstep import Timing
 
 #: Rate of the controller [Hz], drive lag that it assumes [s].
 CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
-#: How fast [m/s] the robot may be pushed along before it leans against the force.
-PUSHED_SPEED = 2.0
 
 
 #: Time that a solve is modeled to take [s].

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from wbmpc.configuration import kind_alone
+from wbmpc.configuration import OneOf
 from wbmpc.simulation.perturbation import Choice, WheeledPerturbation
 
 
@@ -25,7 +25,7 @@ class StuckBrake(Choice):
     time: float = Field(default=0.0, ge=0, le=1e6)
 
 
-BrakeFaults = Annotated[SoundBrakes | StuckBrake, Field(discriminator="kind"), BeforeValidator(kind_alone)]
+BrakeFaults = OneOf[SoundBrakes | StuckBrake]
 
 
 class SwervePerturbation(WheeledPerturbation):

@@ -8,13 +8,13 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.configuration import OnlyWith, Rules
+from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.baselines import REGULATORS
+from wbmpc.studies.minniti2019.controller_settings import Regulator
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_ball, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.settings import AccurateSettings
@@ -35,10 +35,7 @@ class RezeroCircleSettings(AccurateSettings):
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     yaw: Literal["held", "free"] = "held"
 
-    only_with: ClassVar[Rules] = {
-        **AccurateSettings.only_with,
-        "cost.body.yaw": AccurateSettings.only_with["cost.body.yaw"] & OnlyWith(yaw="held"),
-    }
+    only_with: ClassVar[Rules] = {"cost.body.yaw": {"yaw": "held"}}
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
@@ -86,7 +83,7 @@ def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
         return common_plots(log, end_effector, ball_path(settings, log.times("state")))
 
     reference = Reference(grid, body)
-    if settings.controller in REGULATORS:
+    if isinstance(settings.controller, Regulator):
         times = np.arange(0.0, grid[-1], 0.05)
         places = ball_path(settings, times)
         reference = reaching(robot, times, places, np.tile(end_effector, (times.size, 1)), home)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
 
 from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
-from wbmpc.configuration import OnlyWith, kind_alone
+from wbmpc.configuration import OneOf, Rules
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
@@ -111,17 +110,12 @@ class DoorScheme(Settings):
     estimated as it moves; ``cone``: none, a :class:`PushCone` or an :class:`EstimatedCone`;
     ``approach``: a :class:`FreeApproach` or a :class:`LimitedApproach`."""
 
-    contact: Annotated[FreeWrench | DoorEquation, Field(discriminator="kind"), BeforeValidator(kind_alone)] = (
-        DoorEquation()
-    )
+    contact: OneOf[FreeWrench | DoorEquation] = DoorEquation()
     identify: bool = True
-    cone: Annotated[NoCone | PushCone | EstimatedCone, Field(discriminator="kind"), BeforeValidator(kind_alone)] = (
-        PushCone()
-    )
-    approach: Annotated[
-        FreeApproach | LimitedApproach,
-        Field(discriminator="kind"), BeforeValidator(kind_alone), OnlyWith({"contact.kind": "door"}),
-    ] = FreeApproach()  # fmt: skip
+    cone: OneOf[NoCone | PushCone | EstimatedCone] = PushCone()
+    approach: OneOf[FreeApproach | LimitedApproach] = FreeApproach()
+
+    only_with: ClassVar[Rules] = {"approach": {"contact.kind": "door"}}
 
     @property
     def friction(self) -> float:

@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
-from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
+from wbmpc.bases.ball.settings import LEARNED
+from wbmpc.configuration import POSITIVE, Rules
+from wbmpc.studies.minniti2019.controller_settings import DEAD_TIME, DeadTime
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, PushCost, default_push_cost
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
@@ -24,15 +26,16 @@ DOORS: dict[str, dict[str, Any]] = {
 FORCE_GOAL = {"light": 0.15}
 
 
-class RezeroDoorSettings(RezeroSettings):
-    """``forces`` [N]: along the normal, a run each; ``rise_time`` [s]: time from the touch until a force is reached; ``door``: its
-    kind; ``settle_time`` [s]: before the end effector starts; ``speed`` [m/s]: speed of the approach at its start; ``opening_angle``
-    [rad]: angle of the door at which the end effector lets go; ``timeout`` [s]: from its start, after which it lets go too;
+class DoorSettings(RezeroSettings):
+    """``rise_time`` [s]: time from the touch until a force is reached; ``settle_time`` [s]: before the end effector starts;
+    ``speed`` [m/s]: speed of the approach at its start; ``opening_angle`` [rad]: angle of the door at which the end effector lets go;
+    ``timeout`` [s]: from its start, after which it lets go too;
     ``final_hold_time`` [s]: time from the release to the end of the run. ``scheme``: what of the door the problem knows; ``push``:
     weights while it pushes (what is left out: as suits the scheme); ``door_position_error`` [m]: the door's place is not known better;
     ``door_spread``: width, mass, hinge, friction, closer and damping of the door differ by up to this share from those of its kind;
     ``lean_share``: a force beyond this share of what the lean's limit holds at home (:func:`held`) is not pushed with; this share is,
-    and it is reported."""
+    and it is reported. ``estimate_payload``: whether a load at the end effector is one of the disturbances that are estimated;
+    ``actuator_dead_time`` [s]: of the drives, that the MPC's policy assumes."""
 
     cost: RezeroCost = RezeroCost(
         end_effector=EndEffectorCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
@@ -43,8 +46,6 @@ class RezeroDoorSettings(RezeroSettings):
     )
     scheme: DoorScheme = DoorScheme()
     push: PushCost | None = None
-    door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
-    forces: tuple[Annotated[float, Field(gt=0, le=200.0)], ...] = Field((8.0, 16.0), min_length=1, max_length=2)
     rise_time: float = Field(0.05, ge=0, le=10.0)
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     speed: float = Field(0.1, gt=0, le=1.0)
@@ -54,18 +55,13 @@ class RezeroDoorSettings(RezeroSettings):
     door_position_error: float = Field(0.01, ge=0, le=0.05)
     door_spread: float = Field(0.2, ge=0, le=0.3)
     lean_share: float = Field(0.6, gt=0, le=10.0)
+    estimate_payload: bool = True
+    actuator_dead_time: DeadTime = DEAD_TIME
 
     only_with: ClassVar[Rules] = {
-        **RezeroSettings.only_with,
-        **unused(
-            "controller",
-            "baseline",
-            "tracking",
-            "expected_push_time",
-            "max_pushed_speed",
-            "cost.end_effector.turn_limit",
-        ),
-        "lean_share": OnlyWith({"cost.lean": POSITIVE}),
+        "cost.end_effector.turn_limit": {},
+        "lean_share": {"cost.lean": POSITIVE},
+        "estimate_payload": LEARNED,
     }
 
     @field_validator("push", mode="before")
@@ -74,3 +70,10 @@ class RezeroDoorSettings(RezeroSettings):
         """Some weights as a mapping: the others are those of the scheme."""
         scheme = info.data.get("scheme")  # missing where it is wrong itself
         return {**default_push_cost(scheme).model_dump(), **push} if isinstance(push, Mapping) and scheme else push
+
+
+class RezeroDoorSettings(DoorSettings):
+    """``door``: its kind; ``forces`` [N]: along the normal, a run each."""
+
+    door: Literal["free", "heavy", "sticking", "light", "locked"] = "free"
+    forces: tuple[Annotated[float, Field(gt=0, le=200.0)], ...] = Field((8.0, 16.0), min_length=1, max_length=2)

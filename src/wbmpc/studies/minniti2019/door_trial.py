@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.ball.balance import Balance
-from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -25,9 +24,9 @@ from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door, DoorPlant
 from wbmpc.studies.minniti2019.door_problem import EstimatedCone, FreeApproach, default_push_cost, door_problem
-from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
+from wbmpc.studies.minniti2019.door_settings import DOORS, DoorSettings, RezeroDoorSettings
 from wbmpc.studies.minniti2019.door_tracker import Push
-from wbmpc.studies.minniti2019.task import RezeroRecord, ball_robot
+from wbmpc.studies.minniti2019.task import RezeroRecord, ball_robot, estimator_of
 
 _LOG = logging.getLogger("wbmpc")
 #: Where the end effector touches the panel, from the hinge; the gap before it [m].
@@ -38,20 +37,19 @@ EDGE, DRAWN = 0.08, ("width", "mass", "friction", "closer", "damping", "breakawa
 NOMINAL = (2.56, 12.0, 3.5)
 
 
-def make_plant(
-    settings: RezeroDoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int
-) -> DoorPlant:
+def make_plant(settings: DoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int) -> DoorPlant:
     """The robot before a door of the chosen kind, drawn (:func:`drawn_door`)."""
     door = drawn_door(settings, believed(robot.pose(home)[0]).hinge, seed)
     return DoorPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
 
 
-def drawn_door(settings: RezeroDoorSettings, hinge: tuple[float, float], seed: int) -> Door:
+def drawn_door(settings: DoorSettings, hinge: tuple[float, float], seed: int) -> Door:
     """A door that stands up to ``door_position_error`` away from a ``hinge`` (2) [m], and whose numbers, and the hinge's distance from
     where it is pushed, differ by up to ``door_spread`` from those of its kind. It reaches beyond the end effector in any case."""
     rng = np.random.default_rng([seed, 23])
     x, y = np.array(hinge) + rng.uniform(-settings.door_position_error, settings.door_position_error, 2)
-    kind = {**{n: getattr(Door, n) for n in DRAWN}, **DOORS[settings.door]}
+    chosen = DOORS[settings.door] if isinstance(settings, RezeroDoorSettings) else {}
+    kind = {**{n: getattr(Door, n) for n in DRAWN}, **chosen}
     numbers = {n: kind[n] * (1.0 + settings.door_spread * rng.uniform(-1.0, 1.0)) for n in DRAWN}
     shift = LEVER * settings.door_spread * float(rng.uniform(-1.0, 1.0))
     numbers["width"] = max(numbers["width"], LEVER + shift + EDGE)
@@ -66,7 +64,7 @@ def believed(end_effector: np.ndarray) -> DoorGeometry:
     )
 
 
-def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
+def held(settings: DoorSettings, robot: RobotModel) -> float:
     """The steady force [N] on the end effector that the limit of the lean holds at home; infinite without that limit.
 
     A door that gives way takes the force from a robot that leans for it: what the lean then needs to be stopped is left over by
@@ -77,7 +75,7 @@ def held(settings: RezeroDoorSettings, robot: RobotModel) -> float:
     return settings.cost.lean * float(balance.reach.min()) / balance.answer
 
 
-def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
+def bounded(settings: DoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
     """The force [N] to push with where ``force`` is asked for, and a message (a warning too) if it is less."""
     maximum = settings.lean_share * held(settings, robot)
     if force <= maximum:
@@ -90,11 +88,11 @@ def bounded(settings: RezeroDoorSettings, robot: RobotModel, force: float) -> tu
 
 
 #: Of settings, robot, state and torques at the start, and seed.
-PlantOf = Callable[[RezeroDoorSettings, RobotModel, np.ndarray, np.ndarray, int], DoorPlant]
+PlantOf = Callable[[DoorSettings, RobotModel, np.ndarray, np.ndarray, int], DoorPlant]
 
 
 def push_door(
-    settings: RezeroDoorSettings, force: float, seed: int, progress: Progress | None = None, made: PlantOf = make_plant
+    settings: DoorSettings, force: float, seed: int, progress: Progress | None = None, made: PlantOf = make_plant
 ) -> Trial:
     """One run with the reference ``force`` [N], before a door that is ``made``."""
     robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
@@ -123,7 +121,7 @@ def push_door(
 
 
 def make_controller(
-    settings: RezeroDoorSettings, force: float, robot: RobotModel, mpc: MPC, home: np.ndarray, torque: np.ndarray, period: float,
+    settings: DoorSettings, force: float, robot: RobotModel, mpc: MPC, home: np.ndarray, torque: np.ndarray, period: float,
     geometry: DoorGeometry,
 ) -> DoorController:  # fmt: skip
     """The controller at home, with its references and what it is to do."""
@@ -147,21 +145,11 @@ def make_controller(
         mpc.reference["panel"] = Reference.constant(np.full(1, FAR))
     for pose in ("end_effector", "turn"):
         mpc.reference[pose] = Reference.poses([0.0], end_effector, quaternion)
-    estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     controller = DoorController(
-        robot,
-        mpc,
-        push,
-        geometry,
-        np.array(NOMINAL),
-        settings.scheme.identify,
-        torque,
-        period,
-        DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time),
-        settings.estimate_disturbance,
-        estimator,
-        FallPredictor(robot, robot.home[robot.state["arm"]]),
-    )
+        robot, mpc, push, geometry, np.array(NOMINAL), settings.scheme.identify, torque, period,
+        DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time), settings.estimate_disturbance,
+        estimator_of(settings, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
+    )  # fmt: skip
     mpc.solver.set_parameters(controller.parameters())
     start = np.concatenate([home, controller.door]) if controller.with_door else home
     mpc.reset(start, np.concatenate([torque, np.zeros(3)]))

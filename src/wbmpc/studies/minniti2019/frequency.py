@@ -9,7 +9,6 @@ import numpy as np
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_problem, set_home_references
-from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
@@ -26,7 +25,7 @@ from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
 from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
-from wbmpc.studies.minniti2019.task import IDEALIZATIONS, RezeroRecord, ball_robot
+from wbmpc.studies.minniti2019.task import IDEALIZATIONS, RezeroRecord, ball_robot, estimator_of
 
 NAME = "rezero-frequency"
 SUMMARY = "torque tracking of elastic drives with and without frequency-aware MPC (Minniti et al. 2019, section III-D)"
@@ -67,14 +66,10 @@ def drive(
     mpc.reference["body"] = Reference(times, np.array(rest), "hold")
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
-    estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
     own = (
-        timing.period,
-        DriveSettings(settings.actuator_time_constant),
-        settings.estimate_disturbance,
-        estimator,
-        FallPredictor(robot, robot.home[robot.state["arm"]]),
-    )
+        timing.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance,
+        estimator_of(settings, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
+    )  # fmt: skip
     controller: BallController
     if name == "shaped":
         controller = FrequencyAwareController(robot, mpc, torque, *own)

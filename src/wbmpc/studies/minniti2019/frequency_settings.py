@@ -7,10 +7,8 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.bases.ball.perturbation import BallPerturbation, SeriesElasticDrives
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
-from wbmpc.configuration import OnlyWith, Rules, unused
+from wbmpc.configuration import Rules
 from wbmpc.settings import Positive, Settings, Weight
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
@@ -42,7 +40,6 @@ class RezeroFrequencySettings(RezeroSettings):
     held; ``filters`` of the shaped variant; ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
 
     plant: BallPerturbation = ELASTIC
-    cost: RezeroCost = STEPS_AND_PUSHES
     actuator_time_constant: float = Field(0.006, ge=0, le=0.5)
     filters: FilterSettings = FilterSettings()
     step: tuple[_Step, _Step, _Step] = (0.2, 0.0, 0.0)
@@ -51,13 +48,7 @@ class RezeroFrequencySettings(RezeroSettings):
     preview: bool = True
     variants: tuple[str, ...] = VARIANTS
 
-    only_with: ClassVar[Rules] = {
-        **RezeroSettings.only_with,
-        **unused(
-            "controller", "baseline", "tracking", "estimate_payload", "expected_push_time", "max_pushed_speed", "actuator_dead_time",
-        ),
-        **{f"filters.{name}": OnlyWith(variants="shaped") for name in FilterSettings.model_fields},
-    }  # fmt: skip
+    only_with: ClassVar[Rules] = {"filters": {"variants": "shaped"}}
 
     @field_validator("step")
     @classmethod

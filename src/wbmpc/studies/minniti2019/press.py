@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
 
-from wbmpc.configuration import Rules, unused
 from wbmpc.experiment import Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -20,7 +19,7 @@ from wbmpc.simulation.tip import SOFT
 from wbmpc.studies.minniti2019.door import HERE
 from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
-from wbmpc.studies.minniti2019.door_settings import RezeroDoorSettings
+from wbmpc.studies.minniti2019.door_settings import DoorSettings
 from wbmpc.studies.minniti2019.door_tracker import RELAX
 from wbmpc.studies.minniti2019.door_trial import believed, drawn_door, push_door
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS
@@ -34,7 +33,7 @@ TIPS = {"soft": SOFT, "hard": (0.004, 0.3)}
 THINNED = 5
 
 
-class PressSettings(RezeroDoorSettings):
+class PressSettings(DoorSettings):
     """``tip``: hard (its contact lasts milliseconds and is hardly damped) or soft, of rubber; ``surface``: a door that is free, or a wall;
     ``force`` [N] to push with; ``timeout`` [s]: from the start of the approach to the end of the push. The others are those of
     `rezero-door`."""
@@ -47,15 +46,13 @@ class PressSettings(RezeroDoorSettings):
     rise_time: float = Field(0.3, ge=0, le=10.0)
     final_hold_time: float = Field(0.2, ge=0.1, le=60.0)
 
-    only_with: ClassVar[Rules] = {**RezeroDoorSettings.only_with, **unused("forces", "door")}
-
 
 def press(settings: PressSettings, seed: int, progress: Progress | None, **surface: Any) -> tuple[Trial, Array, float]:
     """One approach and push on a ``surface`` with these numbers of a :class:`wbmpc.studies.minniti2019.door_plant.Door`: how it went, the
     physics steps (n, 6) as of :class:`wbmpc.studies.minniti2019.touch_plant.TouchPlant`, and when [s] the push ends."""
     plants: list[TouchPlant] = []
 
-    def made(_: RezeroDoorSettings, robot: RobotModel, home: Array, torque: Array, seed: int) -> TouchPlant:
+    def made(_: DoorSettings, robot: RobotModel, home: Array, torque: Array, seed: int) -> TouchPlant:
         door = drawn_door(settings, believed(robot.pose(home)[0]).hinge, seed)
         door = replace(door, locked=settings.surface == "wall", contact=TIPS[settings.tip], **surface)
         plants.append(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from wbmpc.experiment import Experiment, Scenario
@@ -12,12 +10,7 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_end_effector, rms
-from wbmpc.studies.minniti2019.push_settings import (
-    RECOVERY,
-    RezeroPushBallSettings,
-    RezeroPushHandSettings,
-    RezeroPushSettings,
-)
+from wbmpc.studies.minniti2019.push_settings import RECOVERY, RezeroPushBallSettings, RezeroPushHandSettings
 from wbmpc.studies.minniti2019.recovery import rest
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 
@@ -26,7 +19,7 @@ SUMMARY = "the ball robot is pushed while it holds its {} (Minniti et al. 2019, 
 IDEALIZATIONS = ["pushes are exact forces at the base's center of mass"]
 
 
-def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
+def _task(settings: RezeroPushHandSettings, arm: np.ndarray) -> Task:
     pushes, t = [], settings.settle_time
     gap = settings.pause if settings.gap is None else settings.gap
     for force in settings.forces:
@@ -36,8 +29,9 @@ def _task(settings: RezeroPushSettings, arm: np.ndarray) -> Task:
     return Task(arm, t, pushes=tuple(pushes))
 
 
-def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
-    """Pushes while the ``held`` "ball" or "hand" is to stay in its place."""
+def build(settings: RezeroPushHandSettings, seed: int) -> Scenario:
+    """Pushes while ball or end effector are to stay in their place."""
+    held = settings.held
     robot = ball_robot(settings)
     task = _task(settings, robot.home[robot.state["arm"]])
     end_effector, ball = robot.pose(robot.home)[0], robot.home[:2]
@@ -71,9 +65,5 @@ def build(held: str, settings: RezeroPushSettings, seed: int) -> Scenario:
     return task_scenario(settings, seed, task, metrics, plots, IDEALIZATIONS)
 
 
-BALL_EXPERIMENT = Experiment.of(
-    BALL, SUMMARY.format("ball"), RezeroPushBallSettings, partial(build, "ball"), DEFINITIONS[BALL]
-)
-HAND_EXPERIMENT = Experiment.of(
-    HAND, SUMMARY.format("end effector"), RezeroPushHandSettings, partial(build, "hand"), DEFINITIONS[HAND]
-)
+BALL_EXPERIMENT = Experiment.of(BALL, SUMMARY.format("ball"), RezeroPushBallSettings, build, DEFINITIONS[BALL])
+HAND_EXPERIMENT = Experiment.of(HAND, SUMMARY.format("end effector"), RezeroPushHandSettings, build, DEFINITIONS[HAND])

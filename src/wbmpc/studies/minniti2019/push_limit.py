@@ -14,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from wbmpc.configuration import Rules, unused
+from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.experiment import Experiment, defined
 from wbmpc.log import Log
 from wbmpc.result import Metric, RunResult
@@ -22,30 +22,29 @@ from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.push import IDEALIZATIONS
 from wbmpc.studies.minniti2019.push_once import Outcome, push_once
-from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings, RezeroPushHandSettings, RezeroPushSettings
+from wbmpc.studies.minniti2019.push_settings import BALL_HELD, PushSettings
 
 #: Largest impulse [N s] that is tried.
 MAXIMUM = 320.0
 SUMMARY = "the impulse from which the ball robot recovers while it holds its {}, in one direction"
 
 
-class _Limit(RezeroPushSettings):
-    """``direction`` [deg]: of the pushes, which come after 1 s; ``push_duration`` [s]: of each; ``criterion``: what is asked of the
+class HandLimitSettings(PushSettings):
+    """The end effector is held.
+
+    ``direction`` [deg]: of the pushes, which come after 1 s; ``push_duration`` [s]: of each; ``criterion``: what is asked of the
     robot; ``resolution`` [N s]: the bisection ends at it."""
 
     direction: float = Field(0.0, ge=-360, le=360)
     criterion: Literal["recovers", "stands"] = "recovers"
     resolution: float = Field(5.0, gt=0, ge=0.1, le=MAXIMUM)
 
-    only_with: ClassVar[Rules] = {**RezeroPushSettings.only_with, **unused("forces", "gap", "settle_time")}
 
-
-class BallLimitSettings(_Limit, RezeroPushBallSettings):
+class BallLimitSettings(HandLimitSettings):
     """The ball is held: the weights of `rezero-push-ball`."""
 
-
-class HandLimitSettings(_Limit, RezeroPushHandSettings):
-    """The end effector is held: the weights of `rezero-push-hand`."""
+    held: ClassVar[str] = "ball"
+    cost: RezeroCost = BALL_HELD
 
 
 def largest(passes: Callable[[float], bool], resolution: float) -> float:
@@ -60,7 +59,7 @@ def largest(passes: Callable[[float], bool], resolution: float) -> float:
     return low
 
 
-def run(name: str, settings: _Limit, seed: int, progress: Progress | None = None) -> RunResult:
+def run(name: str, settings: HandLimitSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """All pushes of a bisection."""
     tried: list[Outcome] = []
     maximum = np.log2(MAXIMUM / settings.resolution) + 2.0
@@ -92,11 +91,15 @@ def run(name: str, settings: _Limit, seed: int, progress: Progress | None = None
     )
 
 
-def _experiment(held: str, kind: type[_Limit]) -> Experiment:
-    name = f"rezero-push-limit-{held}"
+def _experiment(kind: type[HandLimitSettings]) -> Experiment:
+    name = f"rezero-push-limit-{kind.held}"
     return Experiment(
-        name, SUMMARY.format("ball" if held == "ball" else "end effector"), kind, partial(run, name), DEFINITIONS[name]
+        name,
+        SUMMARY.format("ball" if kind.held == "ball" else "end effector"),
+        kind,
+        partial(run, name),
+        DEFINITIONS[name],
     )
 
 
-BALL_EXPERIMENT, HAND_EXPERIMENT = _experiment("ball", BallLimitSettings), _experiment("hand", HandLimitSettings)
+BALL_EXPERIMENT, HAND_EXPERIMENT = _experiment(BallLimitSettings), _experiment(HandLimitSettings)

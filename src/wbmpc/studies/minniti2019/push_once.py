@@ -11,7 +11,7 @@ from wbmpc.log import Log
 from wbmpc.result import Metric
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.push import IDEALIZATIONS
-from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings, RezeroPushSettings
+from wbmpc.studies.minniti2019.push_settings import PushSettings
 from wbmpc.studies.minniti2019.recovery import rest
 from wbmpc.studies.minniti2019.task import Push, Task, ball_robot, task_scenario
 
@@ -26,10 +26,10 @@ class Outcome:
     travel: float
 
 
-def push_once(settings: RezeroPushSettings, seed: int, force: float, direction: float, length: float) -> Outcome:
+def push_once(settings: PushSettings, seed: int, force: float, direction: float, length: float) -> Outcome:
     """One push of ``force`` [N] along ``direction`` [rad] for ``length`` [s], watched for ``settings.pause`` from its begin on, as
     the experiments do."""
-    robot, held = ball_robot(settings), "ball" if isinstance(settings, RezeroPushBallSettings) else "hand"
+    robot, held = ball_robot(settings), settings.held
     push = Push(1.0, length, tuple(force * np.array([np.cos(direction), np.sin(direction), 0.0])))
     end = push.start + settings.pause
     task = Task(robot.home[robot.state["arm"]], end, pushes=(push,))

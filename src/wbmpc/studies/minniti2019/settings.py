@@ -8,58 +8,74 @@ from pydantic import Field
 
 from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost
 from wbmpc.bases.ball.perturbation import BallPerturbation
-from wbmpc.bases.ball.settings import BallControllerSettings
-from wbmpc.configuration import POSITIVE, OnlyWith, Rules, unused
-from wbmpc.settings import Robot
+from wbmpc.bases.ball.settings import LEARNED, STEPS_AND_PUSHES, mpc_settings
+from wbmpc.configuration import POSITIVE, OneOf, Rules
+from wbmpc.settings import MpcSettings, Robot, Settings
 from wbmpc.simulation.settings import ExperimentSettings
-from wbmpc.studies.minniti2019.baselines import (
-    ACCURATE_BASELINES,
-    BaselineSettings,
+from wbmpc.studies.minniti2019.controller_settings import (
+    PLANNERS,
+    AccurateController,
+    AccurateMpc,
     Controller,
-    PolicyTracking,
-    Tracking,
-    by_controller,
+    WholeBodyMpc,
 )
 
-#: What the filter alone reads of the simulated sensors, and what only the state of the simulator has [of ``plant``].
-INERTIAL = tuple(f"plant.{sensor}_{kind}" for sensor in ("gyro", "accel") for kind in ("noise", "bias", "walk"))
-STATE_NOISE = tuple(f"plant.{kind}_noise" for kind in ("position", "angle", "speed", "rate"))
+
+class SensorFilter(Settings):
+    """The state from encoders, gyro and accelerometer."""
+
+    kind: Literal["filter"] = "filter"
+    ignores: ClassVar[tuple[str, ...]] = tuple(f"plant.{n}_noise" for n in ("position", "angle", "speed", "rate"))
 
 
-class RezeroSettings(BallControllerSettings, ExperimentSettings):
+class NoisyTruth(Settings):
+    """The state from the simulator, with noise, in which all is a push."""
+
+    kind: Literal["truth"] = "truth"
+    ignores: ClassVar[tuple[str, ...]] = (
+        *(f"plant.{sensor}_{error}" for sensor in ("gyro", "accel") for error in ("noise", "bias", "walk")),
+        "controller.expected_push_time",
+    )
+
+
+class RezeroSettings(ExperimentSettings):
     """``robot``: a name or a file, of a base of type ball; the weights were found for Rezero.
     ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth); ``payload`` [kg]: an
-    unknown mass at the end effector; ``controller``: the MPC, or a baseline that has its estimator and the same limits of the drives,
-    with its gains (``baseline``); ``tracking`` of the MPC's plans. ``only_with``: what the chosen controller and estimator read."""
+    unknown mass at the end effector; ``estimate_disturbance``: whether constant disturbances are estimated;
+    ``actuator_time_constant`` [s]: that the controller assumes, in the middle of what may be."""
 
     robot: Robot = "rezero"
     plant: BallPerturbation = BallPerturbation()
-    estimator: Literal["filter", "truth"] = "filter"
+    mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
+    cost: RezeroCost = STEPS_AND_PUSHES
+    estimator: OneOf[SensorFilter | NoisyTruth] = SensorFilter()
+    estimate_disturbance: bool = True
     payload: float = Field(0.0, ge=0, le=5.0)
-    controller: Controller = "mpc"
-    baseline: BaselineSettings = BaselineSettings()
-    tracking: Tracking = PolicyTracking()
+    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+
+    only_with: ClassVar[Rules] = {"cost.speed_slack": {"mpc.limits": "hard"}}
+
+
+class ControlledSettings(RezeroSettings):
+    """``controller``: the MPC, or a baseline that has its estimator and the same limits of the drives, with its gains."""
+
+    controller: Controller = WholeBodyMpc()
 
     only_with: ClassVar[Rules] = {
-        **by_controller(),
-        **unused("cost.torque.force", "cost.torque.moment"),
-        **dict.fromkeys(INERTIAL, OnlyWith(estimator="filter")),
-        **dict.fromkeys(STATE_NOISE, OnlyWith(estimator="truth")),
-        "expected_push_time": OnlyWith(controller="mpc")
-        & OnlyWith(estimator="filter")
-        & OnlyWith({"cost.lean": POSITIVE}),
-        "cost.speed_slack": by_controller()["cost.speed_slack"] & OnlyWith({"mpc.limits": "hard"}),
+        "mpc.horizon": {"controller.kind": PLANNERS},
+        "controller.estimate_payload": LEARNED,
+        "controller.max_pushed_speed": LEARNED,
+        "controller.expected_push_time": {"cost.lean": POSITIVE},
     }
 
 
-class AccurateSettings(RezeroSettings):
+class AccurateSettings(ControlledSettings):
     """An end effector that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
     the baselines."""
 
-    expected_push_time: float = Field(0.0, ge=0, le=1.0)
     cost: RezeroCost = RezeroCost(
         end_effector=EndEffectorCost(weight=1000.0, orientation=2.0, roll=0.0),
         body=BodyCost(ball=400.0, yaw=20.0),
         lean=0.6,
     )
-    baseline: BaselineSettings = ACCURATE_BASELINES
+    controller: AccurateController = AccurateMpc()

@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from wbmpc.configuration import OnlyWith, Rules
+from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
@@ -33,11 +33,11 @@ class SlipSettings(PressSettings):
     grips: tuple[Annotated[float, Field(ge=0.02, le=2.0)], ...] = Field(
         (0.1, 0.2, 0.4, 0.8), min_length=1, max_length=8
     )
-    compare: Annotated[bool, OnlyWith({"scheme.cone.kind": "estimated"})] = True
+    compare: bool = True
     scheme: DoorScheme = DoorScheme(approach=LimitedApproach(leans=True), cone=EstimatedCone())
     timeout: float = Field(10.0, ge=1.0, le=120.0)
 
-    only_with: ClassVar[Rules] = PressSettings.only_with
+    only_with: ClassVar[Rules] = {"compare": {"scheme.cone.kind": "estimated"}}
 
 
 def build(settings: SlipSettings, seed: int) -> Scenario:

@@ -9,14 +9,15 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.posture import resting
-from wbmpc.configuration import OnlyWith, Rules
+from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Timing
+from wbmpc.studies.minniti2019.controller_settings import PLANNERS
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.settings import ControlledSettings
 from wbmpc.studies.minniti2019.step_figures import metrics, plots
 from wbmpc.studies.minniti2019.step_goals import IMPOSSIBLE, STEADY, STEPS, target
 from wbmpc.studies.minniti2019.task import Task, ball_robot, task_scenario
@@ -29,7 +30,7 @@ IDEALIZATIONS = ["with preview=true the MPC sees a step coming one horizon ahead
 MOVING = 0.5
 
 
-class RezeroStepsSettings(RezeroSettings):
+class RezeroStepsSettings(ControlledSettings):
     """``settle_time`` [s]: time at home before the steps; ``hold_time`` [s]: time for which each step is held; ``final_hold_time`` [s]:
     time at home after the steps.
 
@@ -41,10 +42,7 @@ class RezeroStepsSettings(RezeroSettings):
     final_hold_time: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = False
 
-    only_with: ClassVar[Rules] = {
-        **RezeroSettings.only_with,
-        "mpc.horizon": RezeroSettings.only_with["mpc.horizon"] | OnlyWith(preview=True),
-    }
+    only_with: ClassVar[Rules] = {"mpc.horizon": {"controller.kind": PLANNERS, "preview": True}}
 
     @property
     def lead(self) -> float:

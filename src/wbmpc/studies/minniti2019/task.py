@@ -12,10 +12,10 @@ import numpy as np
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.estimator import BallEstimator
+from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
-from wbmpc.bases.ball.settings import lean_control_of
 from wbmpc.bases.ball.truth_record import TruthRecord
 from wbmpc.bases.base import System
 from wbmpc.checks import whole
@@ -29,8 +29,9 @@ from wbmpc.result import Metric, Plot
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Timing
 from wbmpc.studies.minniti2019.baselines import Parts, make_controller
+from wbmpc.studies.minniti2019.controller_settings import AnyController, PlanSettings, WholeBodyMpc
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
-from wbmpc.studies.minniti2019.settings import RezeroSettings
+from wbmpc.studies.minniti2019.settings import ControlledSettings, NoisyTruth, RezeroSettings
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.units import force_unit
 
@@ -113,11 +114,16 @@ def check_ball(robot: str) -> None:
         raise InputError(f"robot: '{robot}' has a base of type '{kind}'; valid: ball")
 
 
-def robot_of(settings: RezeroSettings) -> RobotModel:
-    """The ball robot as the controller of the settings models it: with a mass at the end effector where that is estimated."""
+def robot_of(settings: RezeroSettings, chosen: AnyController) -> RobotModel:
+    """The ball robot as the ``chosen`` controller models it: with a mass at the end effector where that is estimated."""
     return ball_robot(
-        settings, settings.estimate_payload and settings.estimate_disturbance and settings.controller == "mpc"
+        settings, isinstance(chosen, PlanSettings) and chosen.estimate_payload and settings.estimate_disturbance
     )
+
+
+def estimator_of(settings: RezeroSettings, robot: RobotModel, home: np.ndarray) -> BallEstimator | None:
+    """The estimator of the settings for a robot that starts in the state ``home`` (nx); None: the simulator's state takes its place."""
+    return None if isinstance(settings.estimator, NoisyTruth) else BallEstimator(robot, home)
 
 
 @dataclass(frozen=True)
@@ -136,10 +142,10 @@ class BallSystem:
 
 
 def ball_system(
-    settings: RezeroSettings, seed: int, arm: np.ndarray, references: Mapping[str, Reference]
+    settings: RezeroSettings, chosen: AnyController, seed: int, arm: np.ndarray, references: Mapping[str, Reference]
 ) -> BallSystem:
-    """The controller of the settings on a perturbed plant, at rest with its ``arm`` (m) [rad] there, the estimator in the loop."""
-    robot = robot_of(settings)
+    """The ``chosen`` controller on a perturbed plant, at rest with its ``arm`` (m) [rad] there, the estimator in the loop."""
+    robot = robot_of(settings, chosen)
     home, torque = ball_base(robot).numeric.equilibrium(arm)
     mpc = rezero_mpc(robot, settings.mpc, settings.cost)
     set_home_references(mpc, robot, torque, home)
@@ -149,14 +155,14 @@ def ball_system(
         mpc.reference[term] = reference
     plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
-    estimator = BallEstimator(robot, home) if settings.estimator == "filter" else None
-    controller, planner = make_controller(settings, Parts(robot, mpc, torque, timing.period, estimator, arm))
+    parts = Parts(robot, mpc, torque, timing.period, estimator_of(settings, robot, home), arm)
+    controller, planner = make_controller(settings, chosen, parts)
     mpc.reset(home, torque)
     return BallSystem(plant, controller, planner, mpc, timing)
 
 
 def task_scenario(
-    settings: RezeroSettings,
+    settings: ControlledSettings,
     seed: int,
     task: Task,
     metrics: Callable[[Log, Ending], dict[str, Metric]],
@@ -168,15 +174,17 @@ def task_scenario(
     controller periods."""
     for push in task.pushes:
         whole("length", push.length, 1.0 / settings.control.rate, "controller periods")
-    system = ball_system(settings, seed, task.arm, task.references)
+    chosen = settings.controller
+    system = ball_system(settings, chosen, seed, task.arm, task.references)
     plant, controller, log = system.plant, system.controller, Log()
     joints: JointRecord | None = None
-    if settings.controller == "mpc":
+    if isinstance(chosen, WholeBodyMpc):
         robot = controller.robot
-        controller.lean_control = lean_control_of(settings, robot, task.arm)
-        if settings.expected_push_time > 0.0 and controller.estimator is not None:
+        if settings.estimate_disturbance:
+            controller.lean_control = LeanControl(robot, task.arm, settings.cost.lean, chosen.max_pushed_speed)
+        if chosen.expected_push_time > 0.0 and controller.estimator is not None:
             # (states from the simulator with noise are all pushes)
-            controller.shoves = PushEstimator(robot, task.arm, settings.expected_push_time)
+            controller.shoves = PushEstimator(robot, task.arm, chosen.expected_push_time)
         joints = JointRecord(log, robot, System(plant, controller, system.mpc, system.timing))
     rows, ticks = RezeroRecord(log, plant, controller), count()
 

@@ -10,12 +10,14 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.posture import resting
-from wbmpc.configuration import Rules, unused, with_all
+from wbmpc.bases.ball.settings import LEARNED
+from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.minniti2019.controller_settings import AnyController, PlanSettings, TaskspaceSettings
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -28,16 +30,15 @@ SUMMARY = "an instantaneous task-space controller against the MPC on the end eff
 HERE = ["neither controller sees a step before it comes"]
 
 
-class RezeroTaskspaceSettings(RezeroSettings):
-    """``settle_time`` [s]: time at home before the task; ``hold_time`` [s]: of each of the eight steps of `rezero-steps`, which follow."""
+class RezeroTaskspaceSettings(PlanSettings, RezeroSettings):
+    """``settle_time`` [s]: time at home before the task; ``hold_time`` [s]: of each of the eight steps of `rezero-steps`, which follow;
+    ``taskspace``: gains of the task-space controller."""
 
     hold_time: float = Field(5.0, ge=1.0, le=600.0)
     settle_time: float = Field(4.0, ge=0.5, le=600.0)
+    taskspace: TaskspaceSettings = TaskspaceSettings()
 
-    only_with: ClassVar[Rules] = {
-        **with_all(RezeroSettings.only_with, "controller", *CONTROLLERS),
-        **unused("controller", "expected_push_time", "max_pushed_speed"),
-    }
+    only_with: ClassVar[Rules] = {"estimate_payload": LEARNED}
 
 
 def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -52,15 +53,15 @@ def drive(
     name: str, settings: RezeroTaskspaceSettings, seed: int, log: Log, progress: Progress | None = None
 ) -> Outcome:
     """One controller over all steps; channels are CHANNEL_NAME (none if it ended before its first record)."""
-    chosen = settings.model_copy(update={"controller": name})
-    robot = robot_of(chosen)
+    chosen: AnyController = settings if name == "mpc" else settings.taskspace
+    robot = robot_of(settings, chosen)
     times, places, turns = goals(settings, robot)
     stances = [resting(robot, p, q) for p, q in zip(places, turns, strict=True)]
     now = lambda t: int(np.searchsorted(times, t + 1e-9, side="right")) - 1
     references = lambda k: {
         "end_effector": Reference.poses([0.0], places[k : k + 1], turns[k]), "body": Reference.constant(stances[k]),
     }  # fmt: skip
-    system = ball_system(chosen, seed, robot.home[robot.state["arm"]], references(0))
+    system = ball_system(settings, chosen, seed, robot.home[robot.state["arm"]], references(0))
     single, timing = Log(), system.timing
     rows = RezeroRecord(single, system.plant, system.controller)
     log.label(f"wanted_{name}", ("x", "y", "z", "qw", "qx", "qy", "qz"), [*"mmm", *"1111"])

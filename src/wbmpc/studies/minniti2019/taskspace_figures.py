@@ -10,10 +10,9 @@ from wbmpc import lie
 from wbmpc.experiment import Outcome
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.studies.minniti2019.baselines import Controller
 from wbmpc.studies.minniti2019.metrics import count_wheels
 
-CONTROLLERS: tuple[Controller, ...] = ("mpc", "taskspace")
+CONTROLLERS = ("mpc", "taskspace")
 
 
 def figures(log: Log, name: str) -> dict[str, float]:

@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from wbmpc.configuration import OnlyWith, Rules, unused
+from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
@@ -32,11 +32,11 @@ class TouchSettings(PressSettings):
     speeds: tuple[Annotated[float, Field(ge=0.01, le=1.0)], ...] = Field(
         (0.05, 0.1, 0.2, 0.3), min_length=1, max_length=8
     )
-    compare: Annotated[bool, OnlyWith({"scheme.approach.kind": "limited"})] = True
+    compare: bool = True
     scheme: DoorScheme = DoorScheme(approach=LimitedApproach())
     timeout: float = Field(7.0, ge=1.0, le=120.0)
 
-    only_with: ClassVar[Rules] = {**PressSettings.only_with, **unused("speed")}
+    only_with: ClassVar[Rules] = {"speed": {}, "compare": {"scheme.approach.kind": "limited"}}
 
 
 def approach(

@@ -13,7 +13,7 @@ from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.baselines import REGULATORS
+from wbmpc.studies.minniti2019.controller_settings import Regulator
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import common_plots, estimated_ball, estimated_end_effector, rms
 from wbmpc.studies.minniti2019.settings import AccurateSettings
@@ -102,7 +102,7 @@ def build(settings: RezeroWholebodySettings, seed: int) -> Scenario:
         return [*common_plots(log, target(t), np.zeros(2)), joint, ratio]
 
     references = {"end_effector": Reference.poses(times, places, quaternion)}
-    if settings.controller in REGULATORS:
+    if isinstance(settings.controller, Regulator):
         grid = np.arange(0.0, float(ends[-1]), 0.05)
         references["body"] = reaching(robot, grid, np.zeros((grid.size, 2)), target(grid), home)
     task = Task(arm, float(ends[-1]), references)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -10,7 +10,7 @@ from pydantic import Field
 from wbmpc.bases.swerve.calibrator import SwerveCalibrator
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.perturbation import SwervePerturbation
-from wbmpc.configuration import OnlyWith
+from wbmpc.configuration import Rules
 from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -31,10 +31,12 @@ class DrivingSettings(ExperimentSettings):
     use_gyro: bool = True
     calibration: str = "drive"
     localization: Literal["none", "lidar"] = "none"
-    lidar: Annotated[LidarSettings, OnlyWith(localization="lidar", calibration="drive")] = LidarSettings()
+    lidar: LidarSettings = LidarSettings()
     tracked_poses: int = Field(0, ge=0, le=1000)
     settle_time: float = Field(20.0, ge=0, le=120)
     actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+
+    only_with: ClassVar[Rules] = {"lidar": {"localization": "lidar", "calibration": "drive"}}
 
     def global_poses(self, seed: int) -> Localization | None:
         """The source of global poses for one plant; None: it has none."""

@@ -7,12 +7,12 @@ The order is a goal, or a path: no plan sees it before, and nothing but the plan
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from wbmpc.configuration import OnlyWith, kind_alone
+from wbmpc.configuration import OneOf
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
@@ -41,10 +41,10 @@ class SwerveFastSettings(TaskSettings):
     plant: AnyPerturbation = AnyPerturbation(payload=10.0, wheel_radius_each=0.0)
     mpc: TaskMpcSettings = TaskMpcSettings(model="dynamic", horizon=2.0)
     stability: Stability = WheelLoadSettings(min_load=0.1, payload=10.0)
-    calibration: Annotated[Literal["none", "drive"], OnlyWith(physics="mujoco")] = "drive"
+    calibration: Literal["none", "drive"] = "drive"
     weights: dict[str, Positive] = Field(default={})
     settle_time: float = Field(2.0, ge=0, le=60)
-    course: Annotated[Sideways | SCurve | Slalom, Field(discriminator="kind"), BeforeValidator(kind_alone)] = Sideways()
+    course: OneOf[Sideways | SCurve | Slalom] = Sideways()
     after: float | None = Field(None, ge=0.5, le=600)
     legs: Literal["home", "H", "X", "A"] = "H"
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.bases.swerve.defaults import EndEffectorCost, SwerveCost
-from wbmpc.configuration import OnlyWith
+from wbmpc.configuration import Rules
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
@@ -39,9 +39,11 @@ class SwerveTrackSettings(DrivingSettings):
     variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
     periods: int = Field(6, ge=1, le=20)
     speed: float = Field(0.255, ge=0.01, le=0.8)
-    amplitude: Annotated[float, OnlyWith(variant=("horizontal", "vertical"))] = Field(0.498, gt=0, le=0.6)
+    amplitude: float = Field(0.498, gt=0, le=0.6)
     friction: bool = True
     smoothing: float = Field(0.025, ge=0, le=1)
+
+    only_with: ClassVar[Rules] = {"amplitude": {"variant": ("horizontal", "vertical")}}
 
 
 class TrackReferences:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost
-from wbmpc.configuration import kind_alone
+from wbmpc.configuration import OneOf
 from wbmpc.settings import Robot, Settings, Weight
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 
@@ -34,7 +34,7 @@ class SupportLegs(Settings):
 
 
 #: What moves the legs.
-Legs = Annotated[TargetLegs | SupportLegs, Field(discriminator="kind"), BeforeValidator(kind_alone)]
+Legs = OneOf[TargetLegs | SupportLegs]
 
 
 class SwerveUnifiedSettings(DrivingSettings):
