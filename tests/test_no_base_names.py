@@ -31,8 +31,6 @@ GROUPS = re.compile(r"(leg|steer|wheel)(\.|$)")
 #: What else is called so in generic modules, and the literals there.
 OTHERS = {
     "tasks/reference_drive.py": ("wheel", "steer", "leg"),  # channels of a log for BaseType.calibrate
-    "estimation/strokes.py": ("wheel", "wheel.time", "steer"),  # the same channels
-    "estimation/wheel_odometry.py": ("wheel", "steer", "leg"),  # arguments, in messages
     "ros2/settings.py": ("wheel", "steer", "leg"),  # groups of joints on the bus, whatever the model's are
     "ros2/base_driver.py": ("wheel",),  # the same: what a base's own driver takes
     "ros2/sim.py": ("wheel",),  # the same

@@ -12,6 +12,9 @@ from wbmpc.checks import absolute_time, real_numbers
 
 Array = NDArray[np.float64]
 
+#: A global pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
+POSE_AHEAD = 0.1
+
 
 @dataclass(frozen=True)
 class Observation:

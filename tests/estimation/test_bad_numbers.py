@@ -13,6 +13,7 @@ import pytest
 from wheels_on_paper import ring
 
 from toys import robot
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.estimator import HISTORY, BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
@@ -21,13 +22,12 @@ from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.fused_odometry import FusedOdometry
+from wbmpc.bases.swerve.late_poses import AHEAD
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.disturbance import DisturbanceObserver
-from wbmpc.estimation.fused_odometry import FusedOdometry
-from wbmpc.estimation.late_poses import AHEAD
 from wbmpc.estimation.payload import ArmScale
-from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 from wbmpc.studies.minniti2019.momentum import MomentumObserver

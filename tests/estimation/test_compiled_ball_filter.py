@@ -13,9 +13,9 @@ from wbmpc.bases.ball.filter_memory import FilterMemory
 from wbmpc.bases.ball.filter_solve import solve_robust
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
 from wbmpc.bases.ball.filter_step import linearize
+from wbmpc.bases.ball.inertial import gate_arrays
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.base import InertialDescription
-from wbmpc.estimation.inertial import gate_arrays
 
 H, GRAVITY = 0.0025, np.array([0.0, 0.0, 9.81])
 

@@ -9,12 +9,12 @@ from scipy.stats import chi2
 from wheels_on_paper import Drawn, fit_twist, ring
 
 from effort import draws, some
+from wbmpc.bases.swerve.fused_odometry import FusedOdometry
+from wbmpc.bases.swerve.late_poses import PATIENCE
+from wbmpc.bases.swerve.odometry_filter import OdometryNoise
+from wbmpc.bases.swerve.odometry_step import BIAS
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.errors import InputError
-from wbmpc.estimation.fused_odometry import FusedOdometry
-from wbmpc.estimation.late_poses import PATIENCE
-from wbmpc.estimation.odometry_filter import OdometryNoise
-from wbmpc.estimation.odometry_step import BIAS
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.wheels import ModuleGeometry
 
 FOUR = ring(4)

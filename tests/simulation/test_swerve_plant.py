@@ -11,8 +11,8 @@ import pytest
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import STEER_SPEED, WHEEL_SPEED, SwervePlant
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.simulation.any_perturbation import AnyPerturbation

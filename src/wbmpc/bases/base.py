@@ -339,7 +339,7 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "ros_plant")
 
     def calibrator(self, robot: RobotModel) -> Calibrator:
-        """Finds the calibration of the wheels from a log."""
+        """Finds the calibration file from a log."""
         reject_missing_part(robot.description, "calibrator")
 
 
@@ -350,7 +350,7 @@ PARTS = {
     "model": "model", "plant": "simulated robot", "perturbation": "model of its perturbation",
     "mpc": "problem with default weights", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
-    "calibrator": "calibration of steered wheels", "calibrate": "calibration of its wheels",
+    "calibrator": "calibration file of its wheels", "calibrate": "calibration of its wheels",
 }  # fmt: skip
 
 

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
+from wbmpc.bases.ball import chi_square
 from wbmpc.bases.ball.filter_memory import FilterMemory
 from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, skew
 from wbmpc.bases.ball.filter_step import State
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
+from wbmpc.bases.ball.inertial import forget, gate_arrays
+from wbmpc.bases.ball.inertial_gate_step import FAULTS
 from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import chi_square
-from wbmpc.estimation.inertial import forget, gate_arrays
-from wbmpc.estimation.inertial_gate_step import FAULTS
 from wbmpc.kernel.step import Backend
 
 Array = NDArray[np.float64]

@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.model_step import accelerate, learn
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.errors import UnsupportedOperation
-from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel

@@ -97,7 +97,7 @@ class SwerveBaseType(BaseType):
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
         """Steer zeros and radii."""
-        from wbmpc.estimation.wheel_calibration import WheelCalibration
+        from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 
         calibrator = self.calibrator(robot)
         return vars(calibrator.fit(channels, WheelCalibration.unknown(calibrator.geometry), source).calibration)

@@ -12,8 +12,8 @@ from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.path_guess import PathGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.default_problem import stay_at_home
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles

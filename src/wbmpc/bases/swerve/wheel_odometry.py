@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.swerve.wheel_fit import WheelFit
 from wbmpc.checks import each, numbers, positive
-from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
