@@ -118,7 +118,11 @@ def test_encoders_are_quantized_with_their_offsets():
     # the encoders see the start that was asked for
     assert np.abs(m.arm - ROBOT.home[ROBOT.state["arm"]]).max() < 1e-4
     # they are what was drawn, and nothing is drawn as zero
-    for group, drawn in (("steer", p.draw.steer_offset), ("leg", p.draw.leg_offset), ("arm", p.draw.arm_offset)):
+    for group, drawn in (
+        ("steer", p.draw.module_offset[1]),
+        ("leg", p.draw.module_offset[0]),
+        ("arm", p.draw.arm_offset),
+    ):
         np.testing.assert_array_equal(p.offsets[group], drawn)
         assert np.abs(drawn).min() > 0.0
     assert np.abs(p.offsets["steer"]).max() <= 0.003

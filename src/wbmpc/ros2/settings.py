@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
 from wbmpc.bases import base_type
+from wbmpc.bases.base import WHEELS
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
@@ -277,12 +278,12 @@ class RosSettings(Settings):
         """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
         drives = drive_groups(robot)
         brakes = [n for g in robot.base.brakes for n in drives.get(g, ())]
-        twist = drives["wheel"] if robot.description.base.takes_twist else []
+        twist = drives[WHEELS] if robot.description.base.takes_twist else []
         if not self.controllers:
             found = {
                 f"{g}_controller": Controller(topic=f"/{g}_controller/commands", joints=tuple(drives[g]))
                 for g in drives
-                if drives[g] and not (twist and g == "wheel")
+                if drives[g] and not (twist and g == WHEELS)
             }
             base = Controller(topic="/base_controller/cmd_vel", joints=tuple(twist), takes="twist")
             return {"base_controller": base, **found} if twist else found
@@ -317,9 +318,9 @@ def settings_of(robot: RobotModel) -> type[RosSettings]:
 
 def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:
     """Our names of the joints in /joint_states by group: all that have an encoder."""
-    groups = {g: robot.state.groups.get(g, ()) for g in ("leg", "steer", "wheel", "arm")}
-    wheels = robot.input.groups.get("wheel", ()) or tuple(robot.description.base.wheel_joints())
-    return groups | {"wheel": groups["wheel"] or wheels}
+    base, state = robot.description.base, robot.state.groups
+    wheels = state.get(WHEELS) or robot.input.groups.get(WHEELS) or tuple(base.wheel_joints())
+    return {g: state[g] for g in base.joint_groups()} | {WHEELS: wheels, "arm": state["arm"]}
 
 
 def drive_groups(robot: RobotModel) -> dict[str, list[str]]:
@@ -328,8 +329,8 @@ def drive_groups(robot: RobotModel) -> dict[str, list[str]]:
     base, inputs = robot.description.base, dict(robot.input.groups)
     brakes = {g: [f"{g}/{n}" for n in inputs.pop(held, ())] for g, held in robot.base.brakes.items()}
     speeds = [f"base/{n}" for n in inputs.pop("base", ())]
-    wheels = inputs.pop("wheel", ()) or (speeds if base.takes_twist else base.wheel_joints())
-    return {"wheel": list(wheels), **{g: list(names) for g, names in inputs.items()}, **brakes}
+    wheels = inputs.pop(WHEELS, ()) or (speeds if base.takes_twist else base.wheel_joints())
+    return {WHEELS: list(wheels), **{g: list(names) for g, names in inputs.items()}, **brakes}
 
 
 def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:

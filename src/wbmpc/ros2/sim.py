@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
@@ -147,7 +148,7 @@ class SimNode:
         """As a base's own driver does."""
         speeds = ordered_speeds(self.robot, message)
         with self._changed:
-            self._groups["wheel"][:] = speeds
+            self._groups[WHEELS][:] = speeds
             self._answered(name)
 
     def _take_trajectory(self, name: str, places: list[tuple[str, int]], message: Any) -> None:

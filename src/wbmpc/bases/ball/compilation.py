@@ -18,7 +18,7 @@ _STEPS = (
     "lean_step",
     "push_step",
 )
-_PACKAGES = ("bases/ball", "kernel")
+_PACKAGES = ("bases/ball", "kernel", "constants.py")
 LIBRARY = Library("ball robot", packages=_PACKAGES, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS))
 compiled, step = LIBRARY.compiled, LIBRARY.step
 #: Steps that ask the model, which is the solver's: those of a robot that only estimates need no solver.

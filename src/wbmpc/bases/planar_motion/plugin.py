@@ -40,6 +40,8 @@ ILL = 20.0
 class PlanarBaseType(BaseType):
     """Checks and system; a base type adds ``Description``, ``model`` and ``plant``."""
 
+    calibration_channels = ("wheel", "steer")
+
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Joints that are wheels."""
         check_wheels(description, model)

@@ -6,6 +6,8 @@ from wbmpc.kernel.library import Library
 
 _STEPS = ("odometry_step", "slip_step", "inertial_step", "brake_step", "drive_step", "tracking_step", "smooth_step")
 LIBRARY = Library(
-    "swerve robot", packages=("bases/swerve", "kernel"), modules=tuple(f"wbmpc.bases.swerve.{m}" for m in _STEPS)
+    "swerve robot",
+    packages=("bases/swerve", "kernel", "constants.py"),
+    modules=tuple(f"wbmpc.bases.swerve.{m}" for m in _STEPS),
 )
 compiled, step = LIBRARY.compiled, LIBRARY.step

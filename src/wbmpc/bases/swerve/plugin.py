@@ -41,6 +41,7 @@ class SwerveBaseType(BaseType):
     """What generic code may ask of swerve bases."""
 
     Description = SwerveBaseDescription
+    calibration_channels = ("wheel", "steer", "leg")
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Nothing of the whole file: :meth:`model` checks each module."""
