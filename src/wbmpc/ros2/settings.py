@@ -17,7 +17,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.robots.frames import MAP
 from wbmpc.ros2.bus import LONGEST_NODE_NAME, full_name, name_fault
 from wbmpc.ros2.obstacle_settings import ObstacleSettings
-from wbmpc.settings import MpcSettings, Settings
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings, Settings
 from wbmpc.yaml_file import load_yaml
 
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
@@ -221,7 +221,7 @@ class RosSettings(Settings):
     controllers: dict[str, Controller] = Field({})
     mpc: MpcSettings = MpcSettings()
     cost: Settings = Settings()
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+    actuator_time_constant: float = Field(ACTUATOR_TIME_CONSTANT, ge=0, le=0.5)
     state_age: float = Field(0.005, ge=0, le=0.05)
 
     @field_validator("node")

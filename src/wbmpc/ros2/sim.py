@@ -26,6 +26,7 @@ from wbmpc.ros2.convert import check_numbers, error_message, header, pose, quate
 from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
 from wbmpc.ros2.trajectory_client import places_of
+from wbmpc.settings import CONTROL_RATE
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.scene import SceneReader
 
@@ -63,7 +64,7 @@ class SimNode:
         seed: int = 0,
         perturbation: Perturbation | None = None,
         *,
-        rate: float = 400.0,
+        rate: float = CONTROL_RATE,
         factor: float = 1.0,
     ) -> None:
         self.node, self.robot, self.settings = node, robot, settings

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT
 
 Array = NDArray[np.float64]
 _Friction = Annotated[float, Field(ge=0, le=100)]
@@ -42,13 +43,13 @@ class Perturbation(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     #: What a plant like the model (:meth:`none`) has in the place of 0.
-    LEFT: ClassVar[Mapping[str, float]] = {"actuator_time_constant": 0.020, "friction": 0.8}
+    LEFT: ClassVar[Mapping[str, float]] = {"actuator_time_constant": ACTUATOR_TIME_CONSTANT, "friction": 0.8}
 
     mass: float = Field(default=0.05, ge=0, lt=0.5)
     inertia: float = Field(default=0.10, ge=0, lt=0.5)
     com_offset: float = Field(default=0.010, ge=0, le=1)
     joint_offset: float = Field(default=0.002, ge=0, le=3.2)
-    actuator_time_constant: float = Field(default=0.020, ge=0, le=10)
+    actuator_time_constant: float = Field(default=ACTUATOR_TIME_CONSTANT, ge=0, le=10)
     actuator_time_constant_spread: float = Field(default=0.30, ge=0, lt=1)
     friction: tuple[_Friction, _Friction] = (0.6, 0.9)
     encoder_jitter: float = Field(default=0.002, ge=0, le=0.5)

@@ -11,7 +11,7 @@ from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, Tor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.configuration import OnlyWith
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import MpcSettings, Settings
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings, Settings
 
 #: One set of weights for fast steps of the end effector and for pushes of 200 N. What keeps the robot up is the limit of the lean; the
 #: arm stays near its posture at home (unless a goal needs another one), so that the next push does not find it folded up. A
@@ -49,7 +49,7 @@ class BallControllerSettings(Settings):
     estimate_payload: Annotated[bool, LEARNED] = True
     expected_push_time: float = Field(0.3, ge=0, le=1.0)
     max_pushed_speed: Annotated[float, LEARNED] = Field(2.0, ge=0.01, le=100)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+    actuator_time_constant: float = Field(ACTUATOR_TIME_CONSTANT, ge=0, le=0.5)
     actuator_dead_time: float = Field(0.010, ge=0, le=0.05)
 
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from wbmpc.simulation.world import Edit
 
 Array = NDArray[np.float64]
-#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
-CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
 ILL = 20.0
 
@@ -89,12 +87,15 @@ class PlanarBaseType(BaseType):
         calibration: Calibration | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
+        from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE
         from wbmpc.simulation.lockstep import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         wheels = None if calibration is None else WheelErrors(**calibration)
-        controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG, wheels=wheels)
+        controller = self.controller()(
+            robot, plant.truth().pose, timing.period, lag=ACTUATOR_TIME_CONSTANT, wheels=wheels
+        )
         return System(plant, controller, mpc, timing)
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
