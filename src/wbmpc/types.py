@@ -46,8 +46,7 @@ class Truth:
     ``tool_rotation`` (3, 3) in the world of the planner (its z = 0 is ``-base.ground`` above the floor);
     ``tool_in_base`` and ``tool_rotation_in_base`` in the base's own (also tilted) frame; ``state`` in the planner's
     layout; ``joints`` [rad] by name. With wheels: ``slip`` (n) [m/s], speed of the contact points over the floor;
-    ``slip_along`` (n, 2) its parts along the wheel and along its axle; ``wheel_force`` (n) [N], vertical forces of
-    the ground in the last physics step. ``joint_speeds`` [rad/s] by name.
+    ``wheel_force`` (n) [N], vertical forces of the ground in the last physics step. ``joint_speeds`` [rad/s] by name.
     """
 
     time: float
@@ -60,7 +59,6 @@ class Truth:
     state: Array
     joints: dict[str, float]
     slip: Array = field(default_factory=lambda: np.zeros(0))
-    slip_along: Array = field(default_factory=lambda: np.zeros((0, 2)))
     wheel_force: Array = field(default_factory=lambda: np.zeros(0))
     joint_speeds: dict[str, float] = field(default_factory=dict)
 

@@ -311,7 +311,6 @@ class SwervePlant(WheeledPlant):
             joints=self.world.joints(),
             joint_speeds=self.world.joint_speeds(),
             slip=np.hypot(along[:, 0], along[:, 1]),
-            slip_along=along,
             wheel_force=np.abs(d.sensordata[self._forces]),
         )
 

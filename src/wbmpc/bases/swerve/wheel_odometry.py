@@ -69,11 +69,6 @@ class Increment:
         _, values, rows = np.linalg.svd(off, full_matrices=False)
         return np.asarray(rows[values > WEAK * np.hypot(*motions.T).max()])
 
-    def by_radius(self) -> Array:
-        """Derivative (3, n) of the twist by the wheels' radii, relative."""
-        along = self.fit[:, :, 0] * np.cos(self.heading) + self.fit[:, :, 1] * np.sin(self.heading)
-        return np.asarray(along * self.rolled)
-
 
 def outlier_wheel(residual: Array, axes: Array) -> tuple[int, float]:
     """The wheel without which the least-squares fit improves most, and the share of the sum of squares that vanishes without it.
