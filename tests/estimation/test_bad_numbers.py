@@ -23,7 +23,6 @@ from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
-from wbmpc.bases.swerve.late_poses import AHEAD
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.errors import InputError, NotFinite
@@ -33,6 +32,7 @@ from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 from wbmpc.studies.minniti2019.momentum import MomentumObserver
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.rocking import rockings
+from wbmpc.types import POSE_AHEAD
 
 H, NAN = 0.0025, float("nan")
 ROBOT, SWERVE = robot("rezero"), robot("swerve-ur10")
@@ -201,7 +201,7 @@ def test_an_older_message_is_ignored_whole() -> None:
 
 
 @pytest.mark.parametrize(
-    ("late", "counts"), [(HISTORY + 0.01, False), (0.09, True), (-0.9 * AHEAD, True), (-3600.0, False)]
+    ("late", "counts"), [(HISTORY + 0.01, False), (0.09, True), (-0.9 * POSE_AHEAD, True), (-3600.0, False)]
 )
 def test_poses_of_a_past_that_is_forgotten_and_of_a_future_do_not_count(late: float, counts: bool) -> None:
     """``late`` [s] before the last message; they were taken for poses of the nearest update."""
