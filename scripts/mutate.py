@@ -41,8 +41,10 @@ TARGETS: dict[str, tuple[list[str], list[str]]] = {
     ),
     "estimators": (
         [
-            *(f"src/wbmpc/estimation/{n}.py" for n in ("wheel_fit", "wheel_odometry", "odometry_filter", "wheel_slip")),
-            "src/wbmpc/bases/swerve/slipping_wheels.py",
+            *(
+                f"src/wbmpc/bases/swerve/{n}.py"
+                for n in ("wheel_fit", "wheel_odometry", "odometry_filter", "wheel_slip", "slipping_wheels")
+            ),
             f"{_PANKERT}/release_odometry.py",
         ],
         [

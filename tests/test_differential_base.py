@@ -130,7 +130,7 @@ def test_a_perturbation_that_the_plant_does_not_read_is_an_error():
 
 def test_what_the_plug_in_leaves_out_is_named_as_of_other_base_types():
     with pytest.raises(
-        InputError, match=r"'differential-ur10' .* offers no calibration of steered wheels \('calibrator'\)"
+        InputError, match=r"'differential-ur10' .* offers no calibration file of its wheels \('calibrator'\)"
     ):
         base_type("differential").calibrator(ROBOT)
 

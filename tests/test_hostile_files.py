@@ -19,10 +19,10 @@ import pytest
 from effort import draws
 from fake_experiment import REGISTRY, FakeSettings
 from wbmpc import registry as experiments
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.input_file import read_file
 from wbmpc.model.robot import load_robot
 from wbmpc.obstacles.scene import read_scene

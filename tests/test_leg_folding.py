@@ -12,7 +12,15 @@ import pytest
 import wbmpc as wb
 from clearing import TrueDistance
 from wbmpc.bases import base_type
-from wbmpc.bases.swerve.leg_folding import AFTER, BEFORE, EARLY, GAP, SHARES, STEP, LegFolding
+from wbmpc.bases.swerve.leg_folding import (
+    CHECK_INTERVAL,
+    FOLDED_AHEAD,
+    GAP,
+    OPEN_AFTER,
+    OPEN_BEFORE,
+    SHARES,
+    LegFolding,
+)
 
 SPEED, BEGIN, LONG, WIDTH = 0.25, 2.0, 1.5, 1.0
 HALF = [0.5 * LONG, 0.1, 0.7]
@@ -123,7 +131,7 @@ def test_brakes_are_open_while_legs_turn_no_faster_than_they_can(robot: wb.Robot
     assert (np.abs(rates) <= limit + 1e-9).all()
     turning = np.abs(rates) > 0.02
     assert turning.any(axis=0).all() and brakes[1:][turning].all() and brakes[:-1][turning].all()
-    reach = round((max(BEFORE, AFTER) + 2.0 * STEP) / period) + 2
+    reach = round((max(OPEN_BEFORE, OPEN_AFTER) + 2.0 * CHECK_INTERVAL) / period) + 2
     for i in range(4):
         near = np.convolve(turning[:, i], np.ones(2 * reach + 1), "same") > 0
         assert not brakes[1:, i][~near].any() and not brakes[-1, i]
@@ -142,7 +150,7 @@ def test_legs_are_folded_before_they_have_to_be(robot: wb.RobotModel) -> None:
     late = times >= times[0] + 5.0
     assert shares[late].any()
     for t, share in zip(times[late], shares[late], strict=True):
-        early = planned[np.abs(times - (t - EARLY)) < 1e-6][0]
+        early = planned[np.abs(times - (t - FOLDED_AHEAD)) < 1e-6][0]
         assert (early >= share - 1e-9).all(), t
 
 

@@ -28,20 +28,6 @@ PACKAGES = (
 )  # fmt: skip
 #: Groups of joints that only some bases have, as a literal of its own or before the name of a joint: "steer", "steer.LF".
 GROUPS = re.compile(r"(leg|steer|wheel)(\.|$)")
-#: What else is called so in generic modules, and the literals there.
-OTHERS = {
-    "tasks/reference_drive.py": ("wheel", "steer", "leg"),  # channels of a log for BaseType.calibrate
-    "estimation/strokes.py": ("wheel", "wheel.time", "steer"),  # the same channels
-    "estimation/wheel_odometry.py": ("wheel", "steer", "leg"),  # arguments, in messages
-    "ros2/settings.py": ("wheel", "steer", "leg"),  # groups of joints on the bus, whatever the model's are
-    "ros2/base_driver.py": ("wheel",),  # the same: what a base's own driver takes
-    "ros2/sim.py": ("wheel",),  # the same
-    "recording/quantities.py": ("wheel",),  # joints whose torques are recorded, before the arm's
-    "simulation/wheeled.py": (
-        "wheel",
-    ),  # what a plant on wheels calls its wheels: part of its contract with subclasses
-    "view/actuator_load.py": ("wheel", "steer", "leg"),  # captions of a base's groups
-}
 #: The robot with which an experiment of any robot starts, where none is given.
 DEFAULT_ROBOT = re.compile(r'robot: (?:str|Robot) = "[a-z0-9-]+"')
 
@@ -71,10 +57,8 @@ def group_literals(source: str) -> list[tuple[int, str]]:
 def test_generic_modules_know_no_groups_of_a_base() -> None:
     """They ask :class:`wbmpc.bases.base.Base` and its footprint which groups roll, steer and move legs."""
     found = {m: group_literals((SOURCE / m).read_text()) for m in modules()}
-    odd = [f"{m}:{i}: '{text}'" for m, own in found.items() for i, text in own if text not in OTHERS.get(m, ())]
+    odd = [f"{m}:{i}: '{text}'" for m, own in found.items() for i, text in own]
     assert not odd, "\n".join(odd)
-    unused = {m: set(texts) - {text for _, text in found[m]} for m, texts in OTHERS.items()}
-    assert not any(unused.values()), unused
 
 
 @pytest.mark.parametrize(

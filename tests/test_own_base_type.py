@@ -422,7 +422,7 @@ def test_parts_that_it_does_not_offer_are_named(gantry: Path, plugin: str) -> No
         rail.ros_settings(robot.description)
     with pytest.raises(InputError, match=lacking.format("simulated robot for ROS 2", "ros_plant", ON_BUSES)):
         rail.ros_plant(robot, None, 1)
-    with pytest.raises(InputError, match=lacking.format("calibration of steered wheels", "calibrator", "swerve")):
+    with pytest.raises(InputError, match=lacking.format("calibration file of its wheels", "calibrator", "swerve")):
         rail.calibrator(robot)
     if plugin == "BareType":
         with pytest.raises(

@@ -110,7 +110,7 @@ def _base() -> tuple[Any, list[str]]:
 
 def calibrations(rng: random.Random, folder: Path) -> Case:
     """Calibrations of wheels."""
-    from wbmpc.estimation.wheel_calibration import WheelCalibration
+    from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 
     robot, names = _base()
     rows: dict[str, dict[str, Any]] = {

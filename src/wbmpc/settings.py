@@ -12,6 +12,10 @@ from wbmpc.configuration import OneOf, reject_booleans, reject_unread
 from wbmpc.robots import load_description
 from wbmpc.solver import SQP, InteriorPoint
 
+#: Where nothing else is said: rate [Hz] of a tracking controller, time [s] that a solve is modeled to take, first-order lag [s] of drives,
+#: as the controller assumes it and as the simulated ones have it but for their spread.
+CONTROL_RATE, COMPUTATION_DELAY, ACTUATOR_TIME_CONSTANT = 400.0, 0.010, 0.020
+
 #: Weights, gains and thresholds are numbers up to this: squares and products of larger ones leave the range of numbers.
 LARGEST = 1e9
 Weight = Annotated[float, Field(ge=0, le=LARGEST)]
@@ -69,7 +73,7 @@ class MpcSettings(Settings):
     horizon: float = Field(10.0, gt=0, le=1000)
     intervals: int = Field(50, ge=1, le=1000)
     first_interval: float = Field(0.017, ge=0, le=1000)
-    computation_delay: float = Field(0.010, ge=0, le=1.0)
+    computation_delay: float = Field(COMPUTATION_DELAY, ge=0, le=1.0)
     iterations: int = Field(1, ge=1, le=50)
     limits: Literal["hard", "soft"] = "hard"
     barrier_mu: float = Field(3e-3, gt=0, le=1e6)
@@ -124,4 +128,4 @@ Stability = OneOf[NoStability | WheelLoadSettings | SupportMarginSettings]
 class ControlSettings(Settings):
     """``rate`` [Hz]: rate of the tracking controller."""
 
-    rate: float = Field(400.0, gt=0, ge=1e-3, le=10_000)
+    rate: float = Field(CONTROL_RATE, gt=0, ge=1e-3, le=10_000)

@@ -12,6 +12,9 @@ from wbmpc.checks import absolute_time, real_numbers
 
 Array = NDArray[np.float64]
 
+#: A global pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
+POSE_AHEAD = 0.1
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -43,8 +46,7 @@ class Truth:
     ``tool_rotation`` (3, 3) in the world of the planner (its z = 0 is ``-base.ground`` above the floor);
     ``tool_in_base`` and ``tool_rotation_in_base`` in the base's own (also tilted) frame; ``state`` in the planner's
     layout; ``joints`` [rad] by name. With wheels: ``slip`` (n) [m/s], speed of the contact points over the floor;
-    ``slip_along`` (n, 2) its parts along the wheel and along its axle; ``wheel_force`` (n) [N], vertical forces of
-    the ground in the last physics step. ``joint_speeds`` [rad/s] by name.
+    ``wheel_force`` (n) [N], vertical forces of the ground in the last physics step. ``joint_speeds`` [rad/s] by name.
     """
 
     time: float
@@ -57,7 +59,6 @@ class Truth:
     state: Array
     joints: dict[str, float]
     slip: Array = field(default_factory=lambda: np.zeros(0))
-    slip_along: Array = field(default_factory=lambda: np.zeros((0, 2)))
     wheel_force: Array = field(default_factory=lambda: np.zeros(0))
     joint_speeds: dict[str, float] = field(default_factory=dict)
 

@@ -15,8 +15,8 @@ from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.drives import DryFriction, Smoothing
 from wbmpc.bases.swerve.tracking import TrackingSettings
-from wbmpc.control.drives import DryFriction, Smoothing
 from wbmpc.errors import InputError
 from wbmpc.studies.minniti2019.lqr import LqrWeights, RegulatorGains
 from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse

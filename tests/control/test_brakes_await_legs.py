@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.bases.swerve.brake_control import ARRIVED, LATER, WAIT, BrakeControl
+from wbmpc.bases.swerve.brake_control import ARRIVED, MAX_WAIT, POSTPONEMENT, BrakeControl
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.mpc.policy import Policy
@@ -40,7 +40,7 @@ def test_a_brake_closes_when_its_leg_has_arrived_and_the_others_on_time() -> Non
     closed = closed_at(brakes, np.array([1.5, 2.9, 1.8, 3.4]))
     np.testing.assert_allclose(closed[[0, 2]], 2.0, atol=PERIOD)
     near = np.array([2.9, 3.4]) - ARRIVED / 0.4  # then they are within ARRIVED
-    assert np.all(closed[[1, 3]] >= near) and np.all(closed[[1, 3]] <= near + LATER + PERIOD)
+    assert np.all(closed[[1, 3]] >= near) and np.all(closed[[1, 3]] <= near + POSTPONEMENT + PERIOD)
 
 
 @pytest.mark.parametrize("start", [0.0, 4.0])
@@ -55,7 +55,7 @@ def test_a_leg_that_never_comes_is_waited_for_so_long_and_no_longer(start: float
         if t >= due and not brakes.commanded(t)[1]:
             break
         assert t < due or list(brakes.commanded(t)) == [0.0, 1.0, 1.0, 0.0]
-    assert due + WAIT - LATER - PERIOD <= t <= due + WAIT + PERIOD
+    assert due + MAX_WAIT - POSTPONEMENT - PERIOD <= t <= due + MAX_WAIT + PERIOD
     assert list(brakes.commanded(6.5)) == [1.0] * 4  # what was scheduled for later stays
 
 
@@ -83,8 +83,8 @@ def test_without_arrivals_brakes_close_on_time_and_the_planner_knows_what_waits(
     brakes.arrivals = lambda t: np.array([0.0, GOAL, 0.0, 0.0])
     brakes.await_legs(1.95, np.zeros(4))
     modes = reported[-1]
-    assert list(modes.modes[modes.index(2.0 + 0.5 * LATER)].values["brake"]) == [0.0, 1.0, 0.0, 0.0]
-    assert list(modes.modes[modes.index(2.0 + 1.5 * LATER)].values["brake"]) == [0.0] * 4
+    assert list(modes.modes[modes.index(2.0 + 0.5 * POSTPONEMENT)].values["brake"]) == [0.0, 1.0, 0.0, 0.0]
+    assert list(modes.modes[modes.index(2.0 + 1.5 * POSTPONEMENT)].values["brake"]) == [0.0] * 4
 
 
 def test_the_controller_asks_its_legs_without_the_zeros_of_their_encoders() -> None:

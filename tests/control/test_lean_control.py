@@ -15,6 +15,11 @@ LEAN = LeanControl(ROBOT, ARM, 0.6, 2.0)
 HEIGHT = 0.2
 
 
+def borne(force: np.ndarray) -> np.ndarray:
+    """What the wheels bear (2) [m] of the reach."""
+    return np.array(LEAN._offsets(force, 0.0)[2:])
+
+
 def pushed(size: float, heading: float = 0.0) -> np.ndarray:
     """Generalized forces of a horizontal force along the heading, ``HEIGHT`` above the ball's center, of an upright base."""
     force = np.zeros(ROBOT.base.nq)
@@ -39,18 +44,18 @@ def test_what_the_wheels_bear_is_the_force_at_the_contact() -> None:
     of a displaced center of mass, costs the wheels nothing: the robot stands with a lean, and the limit moves with it."""
     low, high = pushed(40.0), pushed(40.0)
     high[3] *= 2.0
-    np.testing.assert_allclose(LEAN._balanced_offset(low, 0.0), LEAN._balanced_offset(high, 0.0), atol=1e-3)
+    np.testing.assert_allclose(borne(low), borne(high), atol=1e-3)
     moment = np.zeros(ROBOT.base.nq)
     moment[3] = 2.0
-    assert np.abs(LEAN._balanced_offset(moment, 0.0)).max() < 1e-3 < 5e-3 < np.abs(stand(moment)).max()
-    np.testing.assert_allclose(LEAN.center(moment, 0.0), LEAN.shift(moment, 0.0) - LEAN._balanced_offset(moment, 0.0))
+    assert np.abs(borne(moment)).max() < 1e-3 < 5e-3 < np.abs(stand(moment)).max()
+    np.testing.assert_allclose(LEAN.center(moment, 0.0), LEAN.shift(moment, 0.0) - borne(moment))
 
 
 def test_the_limit_is_about_where_the_robot_stands_as_far_as_the_reach_allows() -> None:
     weak, strong = pushed(10.0), pushed(60.0)
     np.testing.assert_allclose(LEAN.center(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
     margin = 0.6 * LEAN.reach - np.abs(stand(strong) + LEAN.center(strong, 0.0))[0]
-    left = MAXIMUM * LEAN.reach - np.abs(LEAN._balanced_offset(strong, 0.0))[0]
+    left = MAXIMUM * LEAN.reach - np.abs(borne(strong))[0]
     assert margin == pytest.approx(left, abs=1e-9) and left > 0.0
 
 

@@ -13,11 +13,11 @@ import pytest
 from toys import robot
 from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.model_steps import ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import mpc_settings
-from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.kernel.step import Backend
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC

@@ -13,7 +13,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.tracking import TrackingSettings
-from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import aligned_steering
 from wbmpc.mpc.policy import Policy

@@ -13,6 +13,7 @@ import pytest
 from wheels_on_paper import ring
 
 from toys import robot
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.estimator import HISTORY, BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
@@ -21,18 +22,17 @@ from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.fused_odometry import FusedOdometry
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation.disturbance import DisturbanceObserver
-from wbmpc.estimation.fused_odometry import FusedOdometry
-from wbmpc.estimation.late_poses import AHEAD
 from wbmpc.estimation.payload import ArmScale
-from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.studies.minniti2019.contact import ContactMonitor
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 from wbmpc.studies.minniti2019.momentum import MomentumObserver
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.rocking import rockings
+from wbmpc.types import POSE_AHEAD
 
 H, NAN = 0.0025, float("nan")
 ROBOT, SWERVE = robot("rezero"), robot("swerve-ur10")
@@ -201,7 +201,7 @@ def test_an_older_message_is_ignored_whole() -> None:
 
 
 @pytest.mark.parametrize(
-    ("late", "counts"), [(HISTORY + 0.01, False), (0.09, True), (-0.9 * AHEAD, True), (-3600.0, False)]
+    ("late", "counts"), [(HISTORY + 0.01, False), (0.09, True), (-0.9 * POSE_AHEAD, True), (-3600.0, False)]
 )
 def test_poses_of_a_past_that_is_forgotten_and_of_a_future_do_not_count(late: float, counts: bool) -> None:
     """``late`` [s] before the last message; they were taken for poses of the nearest update."""

@@ -8,6 +8,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from ball_states import error_between
 from scipy.linalg import solve_continuous_are
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -93,7 +94,7 @@ def filtered(seed: int, seconds: float, noise: BallNoise, exact: bool = False) -
     for w, g, a in zip(wheel, gyro, accel, strict=True):
         f.update(H, w, g, a)
     true = BallState(ball[-1], velocity[-1], turn[-1].as_matrix(), gyro_bias[-1], accel_bias[-1], angle[-1], scale)
-    return f.state.minus(true), f
+    return error_between(f.state, true), f
 
 
 def test_exact_sensors_give_the_exact_state() -> None:
@@ -173,7 +174,7 @@ class Balancing:
             d.qpos[:3] - [0, 0, 0.125], velocity, rotation, sensors.bias["gyro"], sensors.bias["accel"],
             self.plant.sensors.wheel, scale,
         )  # fmt: skip
-        return self.estimator.filter.state.minus(true)
+        return error_between(self.estimator.filter.state, true)
 
 
 def test_errors_in_physics_stay_within_the_covariance() -> None:

@@ -13,11 +13,11 @@ from wheels_on_paper import UNEVEN, Drawn, prior, record, ring
 
 from effort import draws
 from wbmpc.bases.swerve.calibration import calibrate, fit_wheels
+from wbmpc.bases.swerve.odometry_filter import OdometryNoise
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.errors import InputError
-from wbmpc.estimation.odometry_filter import OdometryNoise
-from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import WheelOdometry
 
 CALM = OdometryNoise(along=1e-5, across=1e-5, gyro_bias=0.01)
 

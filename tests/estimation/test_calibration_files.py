@@ -12,11 +12,11 @@ import yaml
 from wheels_on_paper import UNEVEN, Drawn, prior, record, ring
 
 from wbmpc.bases.swerve.calibration import calibrate, replay
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration, module_keys
 from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.errors import InputError
 from wbmpc.estimation.arm_calibration import load_arm_offset
-from wbmpc.estimation.calibration_file import ARM_KEYS, module_keys
-from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.estimation.calibration_file import ARM_KEYS
 
 NAMES = ["a", "b", "c", "d"]
 

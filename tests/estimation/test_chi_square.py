@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from wbmpc.estimation import chi_square
+from wbmpc.bases.ball import chi_square
 
 
 @given(st.integers(1, 12), st.floats(0.0, 60.0))

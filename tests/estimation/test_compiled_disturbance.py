@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 
 N, GATE = 7, np.array([0.06, 0.06, 0.25, 0.12, 0.12])
 

@@ -9,10 +9,10 @@ import pytest
 from wheels_on_paper import fit_twist, ring
 
 from wbmpc import lie
-from wbmpc.estimation.fused_odometry import FusedOdometry
-from wbmpc.estimation.odometry_filter import OdometryNoise
-from wbmpc.estimation.odometry_memory import OdometryMemory
-from wbmpc.estimation.odometry_step import BIAS, LATE, WHEELS, Interval
+from wbmpc.bases.swerve.fused_odometry import FusedOdometry
+from wbmpc.bases.swerve.odometry_filter import OdometryNoise
+from wbmpc.bases.swerve.odometry_memory import OdometryMemory
+from wbmpc.bases.swerve.odometry_step import BIAS, LATE, WHEELS, Interval
 
 FOUR = ring(4)
 

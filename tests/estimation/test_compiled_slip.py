@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wbmpc.bases.swerve.slipping_wheels import CONTRADICTS, HOLD, OVER, SlippingWheels
-from wbmpc.estimation.wheel_odometry import WheelOdometry
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.kernel.step import Backend
 from wbmpc.model.robot import load_robot
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.estimation.disturbance import DisturbanceObserver
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 
 N, H = 5, 0.0025
 MASS = np.diag([20.0, 22.0, 2.0, 3.0, 3.0]) + 0.1

@@ -11,8 +11,8 @@ from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
-from wbmpc.estimation.fused_odometry import LEAP_STD, FusedOdometry
-from wbmpc.estimation.odometry_filter import OdometryNoise
+from wbmpc.bases.swerve.fused_odometry import LEAP_STD, FusedOdometry
+from wbmpc.bases.swerve.odometry_filter import OdometryNoise
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 

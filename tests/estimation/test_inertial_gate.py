@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wbmpc.bases.ball.inertial import forget, gate_arrays
+from wbmpc.bases.ball.inertial_gate_step import FAULTS, Gate, judge
 from wbmpc.bases.base import InertialDescription
-from wbmpc.estimation.inertial import forget, gate_arrays
-from wbmpc.estimation.inertial_gate_step import FAULTS, Gate, judge
 from wbmpc.kernel.step import Backend, bind
 
 UNIT, REST, H = InertialDescription(), np.array([0.0, 0.0, 9.81]), 0.0025

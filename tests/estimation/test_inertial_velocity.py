@@ -13,7 +13,7 @@ from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, FOLLOW, MIN_SHA
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.slipping_wheels import OVER
-from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.kernel.step import Backend
 from wbmpc.model.robot import load_robot
 

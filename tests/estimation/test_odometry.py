@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, null_space
 from wheels_on_paper import fit_twist
 
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.model.robot import load_robot
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 

@@ -9,7 +9,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import SLIP_WEIGHT
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
 from wbmpc.bases.swerve.tracking import TrackingSettings
-from wbmpc.estimation.wheel_odometry import WheelOdometry
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import load_robot
 
 GEOMETRY = load_robot("swerve-fixed-ur10").base.geometry

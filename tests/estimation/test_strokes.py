@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from wbmpc import lie
+from wbmpc.bases.planar_motion import strokes
 from wbmpc.bases.planar_motion.calibration import fit_errors
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.strokes import Strokes
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.errors import InputError
-from wbmpc.estimation import strokes
-from wbmpc.estimation.strokes import Strokes
 
 Array = np.ndarray
 #: Rates of four mecanum wheels (LF, RF, LB, RB) of radius 0.1 m by (vx, vy, wz), lever 0.58 m.

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_fit import WheelFit
+from wbmpc.bases.swerve.wheel_odometry import Increment, Sample
 from wbmpc.bases.swerve.wheel_record import WheelRecord
-from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_fit import WheelFit
-from wbmpc.estimation.wheel_odometry import Increment, Sample
 from wbmpc.model.wheels import ModuleGeometry
 
 

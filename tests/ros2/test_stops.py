@@ -13,7 +13,7 @@ import pytest
 from needs import MISSING, needs_dds, wait_until
 
 from effort import THOROUGH, some
-from wbmpc.estimation.wheel_odometry import WheelOdometry
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.model.wheels import rolling_inverse_kinematics
 
 pytestmark = needs_dds

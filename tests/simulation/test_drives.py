@@ -10,6 +10,7 @@ import pytest
 import scipy.signal
 
 from effort import some
+from wbmpc.bases.ball.elastic_drives import HEAD_ROOM, ElasticDrives
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.perturbation import SeriesElasticDrives
 from wbmpc.bases.ball.plant import BallPlant
@@ -18,7 +19,6 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
 from wbmpc.simulation.any_perturbation import AnyPerturbation
-from wbmpc.simulation.elastic_drives import HEAD_ROOM, ElasticDrives
 
 STEP = 5e-4
 K, J, ZETA, GAIN, LOOP = 40.0, 0.01, 0.05, 1.0, 0.2

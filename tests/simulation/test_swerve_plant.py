@@ -11,8 +11,8 @@ import pytest
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import STEER_SPEED, WHEEL_SPEED, SwervePlant
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.simulation.any_perturbation import AnyPerturbation
@@ -118,7 +118,11 @@ def test_encoders_are_quantized_with_their_offsets():
     # the encoders see the start that was asked for
     assert np.abs(m.arm - ROBOT.home[ROBOT.state["arm"]]).max() < 1e-4
     # they are what was drawn, and nothing is drawn as zero
-    for group, drawn in (("steer", p.draw.steer_offset), ("leg", p.draw.leg_offset), ("arm", p.draw.arm_offset)):
+    for group, drawn in (
+        ("steer", p.draw.module_offset[1]),
+        ("leg", p.draw.module_offset[0]),
+        ("arm", p.draw.arm_offset),
+    ):
         np.testing.assert_array_equal(p.offsets[group], drawn)
         assert np.abs(drawn).min() > 0.0
     assert np.abs(p.offsets["steer"]).max() <= 0.003

@@ -33,7 +33,8 @@ def test_an_update_as_machine_code_and_as_python_is_the_same(monkeypatch: pytest
     plans = []
     for way in (controller.update, controller.update.interpreted):
         given = arguments(0.0, np.array([0.3, 0.1]))
-        assert way(*(given[name] for name in controller.update.argument_names)) == Result.OK
+        flat = [given[name] for name in controller.update.argument_names]
+        assert way(*controller.update.signature.structured(flat)) == Result.OK
         plans.append(given)
     for name in ("times", "states", "inputs", "gains", "active", "moving", "value"):
         np.testing.assert_allclose(plans[0][name], plans[1][name], atol=1e-9)
@@ -70,7 +71,7 @@ def test_feedback_is_the_affine_law_at_every_time() -> None:
         )
         for way in (feedback.evaluate, feedback.evaluate.interpreted):
             flat = [a.ravel() if isinstance(a, np.ndarray) and a is not u else a for a in given]
-            assert way(*flat) == feedback.FINE
+            assert way(*feedback.evaluate.signature.structured(flat)) == feedback.FINE
             np.testing.assert_allclose(u, inputs[k] + gains[k] @ (x - middle), atol=1e-12)
 
 

@@ -14,9 +14,9 @@ from effort import thorough
 from toys import robot
 from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.cli import main
 from wbmpc.estimation.arm_calibration import load_arm_offset
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.registry import REGISTRY
 from wbmpc.report import write_run
 from wbmpc.robots.description import DATA

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from archives import without_units
 from toys import robot
-from wbmpc.estimation.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
 from wbmpc.registry import REGISTRY

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
     from wbmpc.simulation.world import Edit
 
 Array = NDArray[np.float64]
+#: The group of a base's wheels, or of what drives it in their place, in commands and measurements: whether or not the model's state has it.
+WHEELS = "wheel"
 
 
 #: What is known of a base's wheels: arrays by name, which only its base type reads.
@@ -62,7 +65,7 @@ class InertialDescription(Section):
     out: those of the ADIS16448's data sheet, 1000 degrees/s and 18 g."""
 
     rate: float = Field(np.deg2rad(1000.0), ge=0.1, le=1e4)
-    acceleration: float = Field(18.0 * 9.81, ge=10, le=1e5)
+    acceleration: float = Field(18.0 * GRAVITY, ge=10, le=1e5)
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,8 @@ class BaseDescription(Section):
     takes_twist: ClassVar[bool] = False
     #: The key of the section that names joints; "" where none does. Error messages say it.
     joint_key: ClassVar[str] = ""
+    #: What views call groups of joints whose loads they show: "legs", "steering", "wheels".
+    captions: ClassVar[Mapping[str, str]] = {}
     #: Keys of other base types that do not apply to this one, and why: the error of a file that has them.
     not_applicable: ClassVar[Mapping[str, str]] = {}
     #: Keys of the file's ``limits`` that this base reads, beside those of joints.
@@ -264,6 +269,8 @@ class BaseType(Protocol):
     """The plug-in of a base type. Its instances have no state."""
 
     Description: type[BaseDescription]
+    #: What of its robots' measurements :meth:`calibrate` reads, beside the gyro.
+    calibration_channels: ClassVar[tuple[str, ...]] = ()
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Raise :class:`InputError` for a robot file whose mechanics this base type does not describe."""
@@ -310,8 +317,8 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "system")
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
-        """What a log with global poses shows of the wheels, for :meth:`system`. ``channels``: "wheel", "steer" and "gyro" as measured,
-        "place" of rows (x, y, yaw, their standard deviations), each with its times (as "wheel.time"); ``source``: its name in errors.
+        """What a log with global poses shows of the wheels, for :meth:`system`. ``channels``: those of ``calibration_channels`` and "gyro" as
+        measured, "place" of rows (x, y, yaw, their standard deviations), each with its times (as "wheel.time"); ``source``: its name in errors.
         Raises :class:`InputError` for a log that does not show them."""
         reject_missing_part(robot.description, "calibrate")
 
@@ -339,7 +346,7 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "ros_plant")
 
     def calibrator(self, robot: RobotModel) -> Calibrator:
-        """Finds the calibration of the wheels from a log."""
+        """Finds the calibration file from a log."""
         reject_missing_part(robot.description, "calibrator")
 
 
@@ -350,7 +357,7 @@ PARTS = {
     "model": "model", "plant": "simulated robot", "perturbation": "model of its perturbation",
     "mpc": "problem with default weights", "system": "simulated robot with a controller",
     "ros_settings": "controller for ROS 2", "ros": "controller for ROS 2", "ros_plant": "simulated robot for ROS 2",
-    "calibrator": "calibration of steered wheels", "calibrate": "calibration of its wheels",
+    "calibrator": "calibration file of its wheels", "calibrate": "calibration of its wheels",
 }  # fmt: skip
 
 

@@ -11,13 +11,13 @@ from wbmpc.benchmark.problems import Problem, race_problems
 from wbmpc.solver import SQP, InteriorPoint, Solver
 
 
-def _milliseconds(solver: Solver, x0: np.ndarray, passes: int = 200) -> float:
-    """Least of eight medians of an iteration's time."""
+def _milliseconds(solver: Solver, x0: np.ndarray) -> float:
+    """Least of eight medians of an iteration's time, each of 25."""
     solver.solve(x0)
     medians = []
     for _ in range(8):
         times = []
-        for _ in range(passes // 8):
+        for _ in range(25):
             start = time.process_time()
             solver.run(x0)
             times.append(time.process_time() - start)

@@ -46,10 +46,6 @@ class Poses:
     position: Array
     rotation: Array
 
-    def into(self, node: int, frame: int, point: Array) -> Array:
-        """A point of the world (3) in a frame's axes."""
-        return np.asarray((point - self.position[node, frame]) @ self.rotation[node, frame])
-
 
 class Finder:
     """Nearest points between one robot and any obstacles. ``reach`` [m]: what is farther away is not checked; ``pairs``: how many pairs

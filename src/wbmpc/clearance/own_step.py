@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.clearance.compilation import step
@@ -12,14 +14,51 @@ from wbmpc.kernel.ir import Floats, Integers, PointerCall
 call2 = PointerCall(2)
 
 
+class Parts(NamedTuple):
+    """A robot's own parts, and which pairs of them are compared."""
+
+    address: int  # of the function that gives the poses of frames
+    nx: int  # numbers of a state
+    all_frames: int  # with those in whose axes pairs are compared
+    frames: int
+    shapes: int
+    rows: int  # pairs of frames
+    pairs: int  # pairs of shapes
+    frame_of: Integers  # (shapes)
+    row_of: Integers  # (pairs)
+    one: Integers  # (pairs), shapes
+    two: Integers  # (pairs)
+    local: Floats  # (shapes, 3) [m], in axes of their frames
+    turn: Floats  # (shapes, 3, 3)
+
+
+class Places(NamedTuple):
+    """Where these are at n states, and which pairs touch."""
+
+    poses: Floats  # (n, all_frames, 12), position [m] and rotation
+    table: Integers  # (2), addresses of the function's argument and result
+    position: Floats  # (n, frames, 3) [m]
+    rotation: Floats  # (n, frames, 3, 3)
+    place: Floats  # (n, shapes, 3) [m]
+    axes: Floats  # (n, shapes, 3, 3)
+    touching: Integers  # (n · pairs)
+
+
 @step
 def measure(
-    n: int, address: int, nx: int, all_frames: int, frames: int, shapes: int, rows: int, pairs: int, reach: float, states: Floats,
-    poses: Floats, table: Integers, solids: Solids, gaps: Gaps, frame_of: Integers, row_of: Integers, one: Integers, two: Integers,
-    local: Floats, turn: Floats, position: Floats, rotation: Floats, place: Floats, axes: Floats, touching: Integers, work: Floats,
-) -> int:  # fmt: skip
+    n: int, reach: float, states: Floats, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, work: Floats
+) -> int:
     """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`~wbmpc.clearance.pairs_step.nearest_own` within
     ``reach`` [m]: how many pairs touch."""
+    address, nx, all_frames, frames, shapes, rows = (
+        parts.address,
+        parts.nx,
+        parts.all_frames,
+        parts.frames,
+        parts.shapes,
+        parts.rows,
+    )
+    poses, table, position, rotation = at_states.poses, at_states.table, at_states.position, at_states.rotation
     for k in range(n):
         table[0] = states.ctypes.data + 8 * k * nx
         table[1] = poses.ctypes.data + 8 * k * 12 * all_frames
@@ -30,12 +69,14 @@ def measure(
                 position[3 * to + i] = poses[at + i]
             for i in range(9):
                 rotation[9 * to + i] = poses[at + 3 + i]
-    place_solids(n, shapes, frames, frame_of, local, turn, position, rotation, place, axes)
+    place_solids(
+        n, shapes, frames, parts.frame_of, parts.local, parts.turn, position, rotation, at_states.place, at_states.axes
+    )
     for i in range(n * rows):
         gaps.distance[i] = reach
     _compared, touch = nearest_own(
-        n=n, shapes=shapes, rows=rows, pairs=pairs, solids=solids, gaps=gaps, row_of=row_of, one=one, two=two, place=place,
-        axes=axes, touching=touching, work=work,
+        n=n, shapes=shapes, rows=rows, pairs=parts.pairs, solids=solids, gaps=gaps, row_of=parts.row_of, one=parts.one,
+        two=parts.two, place=at_states.place, axes=at_states.axes, touching=at_states.touching, work=work,
     )  # fmt: skip
     return touch
 

@@ -179,10 +179,10 @@ def _create(image: Image, prefix: str, magic: int, size: int, features: Sequence
     return [*lines, f"call void @{prefix}.fill(ptr %b)", f"ret i32 {Result.OK.value}", "}"]
 
 
-def _runs(words: np.ndarray, gap: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """(first, length) of what is not zero in a block, short gaps included, and the words there."""
+def _runs(words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(first, length) of what is not zero in a block, gaps of up to three words included, and the words there."""
     found = np.flatnonzero(words)
-    cuts = np.flatnonzero(np.diff(found) > gap)
+    cuts = np.flatnonzero(np.diff(found) > 4)
     first, last = np.append(found[0], found[cuts + 1]), np.append(found[cuts], found[-1]) + 1
     values = np.concatenate([words[a:b] for a, b in zip(first, last, strict=True)])
     return np.stack([first, last - first], axis=1).ravel(), values

@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc.checks import quoted, real_number
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.yaml_file import load_yaml
 
-Array = NDArray[np.float64]
 #: Keys of the file.
 KEYS = ("robot", "modules", "arm", "correlation")
-#: How far encoders are mounted [rad] and radii made (relative) beside what the robot's file says, at most: farther off, it is the
-#: robot's file that is wrong, or another robot's calibration.
-ZERO_RANGE, RADIUS_RANGE = 0.6, 0.3
+#: How far encoders are mounted [rad] beside what the robot's file says, at most: farther off, it is the robot's file that is wrong, or
+#: another robot's calibration.
+ZERO_RANGE = 0.6
 
 
 @dataclass(frozen=True)
@@ -49,18 +47,6 @@ class Range:
 ZERO, ZERO_STD = Range(-ZERO_RANGE, ZERO_RANGE, "rad"), Range(0.0, ZERO_RANGE, "rad")
 #: Of a joint of the arm.
 ARM_KEYS = {"offset": ZERO, "offset_std": ZERO_STD}
-
-
-def module_keys(wheel_radius: float) -> dict[str, Range]:
-    """Of a steered wheel whose radius is ``wheel_radius`` [m] in the robot's file."""
-    least, largest = (1.0 - RADIUS_RANGE) * wheel_radius, (1.0 + RADIUS_RANGE) * wheel_radius
-    return {
-        "steer_offset": ZERO,
-        "leg_offset": ZERO,
-        "wheel_radius": Range(least, largest, "m", wheel_radius, f"the robot's file has {wheel_radius:.4g} m"),
-        "steer_offset_std": ZERO_STD,
-        "wheel_radius_std": Range(0.0, RADIUS_RANGE, "of the radius"),
-    }
 
 
 def read_calibration(path: Path | str, robot: str = "") -> dict[str, Any]:
@@ -106,24 +92,3 @@ def read_rows(
             for entry, valid in keys.items()
         }
     return found
-
-
-def read_correlation(path: Path | str, matrix: Any, order: list[str], modules: list[str]) -> Array:
-    """What a file gives (2n, 2n) with its modules in their ``order``, for ``modules``; independent errors for None."""
-    n = len(modules)
-    if matrix is None:
-        return np.eye(2 * n)
-    try:
-        values = np.array([[real_number("correlation", value) for value in row] for row in matrix], float)
-    except (TypeError, ValueError, InputError):  # texts and truth values are no numbers
-        values = np.zeros(0)
-    right = values.shape == (2 * n, 2 * n) and np.isfinite(values).all() and np.allclose(values, values.T, atol=1e-6)
-    # a direction without doubt (std 0) has 1 on the diagonal all the same
-    if not right or not np.allclose(np.diag(values), 1.0) or np.linalg.eigvalsh(values)[0] < -1e-6:
-        raise InputError(
-            f"{path}: key 'correlation': {2 * n} rows of {2 * n} numbers are needed, a correlation matrix of the zeros, then of "
-            "the radii; or leave it out"
-        )
-    place = [order.index(name) for name in modules]
-    index = np.array([*place, *(n + i for i in place)])
-    return values[np.ix_(index, index)]

@@ -56,10 +56,12 @@ def cache_directory() -> Path:
 
 @cache
 def source_fingerprint(packages: tuple[str, ...] = _PACKAGES) -> str:
-    """Hash of the Python files in ``packages``, folders relative to wbmpc or absolute, at the first call: changed code makes a new entry."""
+    """Hash of the Python files in ``packages``, files and folders relative to wbmpc or absolute, at the first call: changed code makes a
+    new entry."""
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parents[1]
-    for path in sorted({p for package in packages for p in (root / package).glob("*.py")}):
+    places = [root / package for package in packages]
+    for path in sorted({p for place in places for p in ([place] if place.is_file() else place.glob("*.py"))}):
         digest.update(path.read_bytes())
     return digest.hexdigest()
 

@@ -194,7 +194,7 @@ def _call_and_store(s: Signature, passed: list[str], out: str, first: int) -> li
 class Library:
     """Functions that are compiled together, when the first of them is called, and kept in the cache.
 
-    ``packages``: folders of wbmpc whose source, with that of the folders of the library's own functions, decides whether a cached build is
+    ``packages``: folders and files of wbmpc whose source, with that of the folders of the library's own functions, decides whether a cached build is
     valid; empty: no cache. ``modules`` are imported first, so that the library is complete whichever function is called first. ``uses``: other
     libraries, whose functions its own ones may call (without vectors).
     """

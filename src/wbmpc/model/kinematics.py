@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.constants import GRAVITY
 from wbmpc.model.tree import Frame, Link
 
 SX = ca.SX
@@ -193,7 +194,7 @@ class Chain:
         return path[::-1]
 
     # ------------------------------------------------------------------ dynamics
-    def inverse_dynamics(self, rates: dict[int, SX], accelerations: dict[int, SX], gravity: float = 9.81) -> SX:
+    def inverse_dynamics(self, rates: dict[int, SX], accelerations: dict[int, SX], gravity: float = GRAVITY) -> SX:
         """Generalized forces of the moving joints for given rates and accelerations (recursive Newton-Euler)."""
         root = RootMotion(SX(3, 1), SX(3, 1), constant([0, 0, gravity]))
         forces = self._forces(rates, accelerations, root, self._point_load())

@@ -250,7 +250,7 @@ class _Code:
         times, x, u, gain, table, active_at, moving = (a.ctypes.data for a in self._kept)
         self._room, self._sizes = 3 * nu + rows, (nx, nu, 3 * nu + rows)
         self._law = np.array([times, x, u, gain, table, active_at, moving, n, nx, nu, rows, int(moves)], np.int64)
-        self._held = (times, u, table, active_at, moving, n, nu, rows, int(moves), 0)
+        self._held = (*self._law.tolist(), 0)
 
     def input(self, t: float, x: np.ndarray, limited: bool) -> tuple[np.ndarray, bool]:
         """With feedback; whether it was cut. Raises :class:`NotFinite`."""

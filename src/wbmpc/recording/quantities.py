@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError
 from wbmpc.robots import load_description
 from wbmpc.units import force_unit, rate_unit
@@ -113,7 +114,7 @@ def entry_name(topic: str, column: str, count: int, joints: Mapping[str, tuple[s
     if found is None:
         return column
     part = topic.rpartition("/")[2]
-    torques = (*joints.get("wheel", ()), *joints.get("arm", ()))
+    torques = (*joints.get(WHEELS, ()), *joints.get("arm", ()))
     names = (
         torques
         if part in ("torque", "position", "speed", "stiffness", "damping")

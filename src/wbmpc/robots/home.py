@@ -23,12 +23,11 @@ _RANK = 1e-6
 
 @dataclass(frozen=True)
 class Home:
-    """``angles`` by joint [rad or m]; ``tool`` (3) [m] above the file's world; ``manipulability``: least singular value of the end
-    effector's speeds over the joints' largest; ``free``: whether the shapes of the file show no collision; None where it has none."""
+    """``angles`` by joint [rad or m]; ``tool`` (3) [m] above the file's world; ``free``: whether the shapes of the file show no collision;
+    None where it has none."""
 
     angles: dict[str, float]
     tool: Array
-    manipulability: float
     free: bool | None
 
 
@@ -57,7 +56,7 @@ def find_home(
     free = search.free(postures[best])
     chosen = int(best[0] if free is None or not free.any() else best[int(np.argmax(free))])
     angles = {name: round(float(q), 3) for name, q in zip(joints, postures[chosen], strict=True)}
-    return Home(angles, at[chosen], float(quality[chosen]), None if free is None else bool(free.any()))
+    return Home(angles, at[chosen], None if free is None else bool(free.any()))
 
 
 class _Search:
@@ -130,11 +129,15 @@ class _Search:
 
     def _touching(self, q: Array) -> set[tuple[int, int]]:
         """Pairs of rigid parts whose shapes are in each other."""
-        m, d = self.model, self.data
-        d.qpos[:] = q
-        mujoco.mj_kinematics(m, d)
-        mujoco.mj_comPos(m, d)
-        mujoco.mj_collision(m, d)
-        pairs = d.contact.geom[d.contact.dist < 0.0]
-        parts = np.unique(np.sort(m.body_weldid[m.geom_bodyid[pairs]], axis=1), axis=0)
-        return {(a, b) for a, b in parts.tolist() if a != b}
+        self.data.qpos[:] = q
+        return touching_parts(self.model, self.data)
+
+
+def touching_parts(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[int, int]]:
+    """Pairs of rigid parts whose shapes are in each other at ``data.qpos``, and forward kinematics of these positions."""
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    pairs = data.contact.geom[data.contact.dist < 0.0]
+    parts = np.unique(np.sort(model.body_weldid[model.geom_bodyid[pairs]], axis=1), axis=0)
+    return {(a, b) for a, b in parts.tolist() if a != b}

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from wbmpc.constants import GRAVITY
 from wbmpc.robots.mechanism import Array, Mechanism
 from wbmpc.robots.wheel_search import Wheel
 
 #: Shares of the moment that tips the robot over: of one joint of its arm, for several move at a time; of its wheels.
 JOINT_SHARE, BASE_SHARE = 0.15, 0.4
-_GRAVITY = 9.81
 #: Postures that are tried.
 POSTURES = 200
 
@@ -43,13 +43,13 @@ def steadiness(
         data.qpos[model.jnt_qposadr[model.joint(name).id]] = angle
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    moments = float(model.body_mass.sum()) * _GRAVITY * _half_width(places)
+    moments = float(model.body_mass.sum()) * GRAVITY * _half_width(places)
     ground = min(float(w.center[2]) - (w.radius or 0.0) for w in wheels)
     height = max(float(data.subtree_com[0][2]) - ground, 1e-3)
     found = {n: i for n in joints if (i := _tipping_inertia(mechanism, data, n)) > 0.0}
     return Steadiness(
         {name: JOINT_SHARE * moments / inertia for name, inertia in found.items()},
-        BASE_SHARE * _GRAVITY * _half_width(places) / height,
+        BASE_SHARE * GRAVITY * _half_width(places) / height,
     )
 
 

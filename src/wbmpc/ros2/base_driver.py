@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
@@ -79,7 +80,7 @@ class BaseWay:
         seen = self._seen
         assert seen is not None
         ahead = float(np.clip(sample.stamp - seen.stamp, 0.0, HELD))
-        return replace(sample, groups={**sample.groups, "wheel": seen.way + ahead * seen.speeds})
+        return replace(sample, groups={**sample.groups, WHEELS: seen.way + ahead * seen.speeds})
 
 
 def _arc(start: Array, end: Array, expected: float) -> Array:
@@ -104,8 +105,8 @@ class TwistSender:
         self._to, self._twist, self._frame = node.publisher(topic, kind, DEFAULT), robot.base.twist, base
 
     def send(self, values: dict[str, Array]) -> None:
-        """A command by groups: the base's speeds are in "wheel"."""
-        vx, vy, turn = self._twist @ values["wheel"]
+        """A command by groups: the base's speeds are in the group of its wheels."""
+        vx, vy, turn = self._twist @ values[WHEELS]
         twist = {"linear": vector(np.array([vx, vy, 0.0])), "angular": vector(np.array([0.0, 0.0, turn]))}
         self._to.publish({"header": header(0.0, self._frame), "twist": twist})
 

@@ -10,13 +10,14 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
 from wbmpc.bases import base_type
+from wbmpc.bases.base import WHEELS
 from wbmpc.configuration import describe, keys
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots.frames import MAP
 from wbmpc.ros2.bus import LONGEST_NODE_NAME, full_name, name_fault
 from wbmpc.ros2.obstacle_settings import ObstacleSettings
-from wbmpc.settings import MpcSettings, Settings
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings, Settings
 from wbmpc.yaml_file import load_yaml
 
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
@@ -220,7 +221,7 @@ class RosSettings(Settings):
     controllers: dict[str, Controller] = Field({})
     mpc: MpcSettings = MpcSettings()
     cost: Settings = Settings()
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+    actuator_time_constant: float = Field(ACTUATOR_TIME_CONSTANT, ge=0, le=0.5)
     state_age: float = Field(0.005, ge=0, le=0.05)
 
     @field_validator("node")
@@ -277,12 +278,12 @@ class RosSettings(Settings):
         """Controllers by name, checked: every drive of the robot once. Raises :class:`InputError` naming the joint."""
         drives = drive_groups(robot)
         brakes = [n for g in robot.base.brakes for n in drives.get(g, ())]
-        twist = drives["wheel"] if robot.description.base.takes_twist else []
+        twist = drives[WHEELS] if robot.description.base.takes_twist else []
         if not self.controllers:
             found = {
                 f"{g}_controller": Controller(topic=f"/{g}_controller/commands", joints=tuple(drives[g]))
                 for g in drives
-                if drives[g] and not (twist and g == "wheel")
+                if drives[g] and not (twist and g == WHEELS)
             }
             base = Controller(topic="/base_controller/cmd_vel", joints=tuple(twist), takes="twist")
             return {"base_controller": base, **found} if twist else found
@@ -317,9 +318,9 @@ def settings_of(robot: RobotModel) -> type[RosSettings]:
 
 def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:
     """Our names of the joints in /joint_states by group: all that have an encoder."""
-    groups = {g: robot.state.groups.get(g, ()) for g in ("leg", "steer", "wheel", "arm")}
-    wheels = robot.input.groups.get("wheel", ()) or tuple(robot.description.base.wheel_joints())
-    return groups | {"wheel": groups["wheel"] or wheels}
+    base, state = robot.description.base, robot.state.groups
+    wheels = state.get(WHEELS) or robot.input.groups.get(WHEELS) or tuple(base.wheel_joints())
+    return {g: state[g] for g in base.joint_groups()} | {WHEELS: wheels, "arm": state["arm"]}
 
 
 def drive_groups(robot: RobotModel) -> dict[str, list[str]]:
@@ -328,8 +329,8 @@ def drive_groups(robot: RobotModel) -> dict[str, list[str]]:
     base, inputs = robot.description.base, dict(robot.input.groups)
     brakes = {g: [f"{g}/{n}" for n in inputs.pop(held, ())] for g, held in robot.base.brakes.items()}
     speeds = [f"base/{n}" for n in inputs.pop("base", ())]
-    wheels = inputs.pop("wheel", ()) or (speeds if base.takes_twist else base.wheel_joints())
-    return {"wheel": list(wheels), **{g: list(names) for g, names in inputs.items()}, **brakes}
+    wheels = inputs.pop(WHEELS, ()) or (speeds if base.takes_twist else base.wheel_joints())
+    return {WHEELS: list(wheels), **{g: list(names) for g, names in inputs.items()}, **brakes}
 
 
 def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
@@ -25,6 +26,7 @@ from wbmpc.ros2.convert import check_numbers, error_message, header, pose, quate
 from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
 from wbmpc.ros2.trajectory_client import places_of
+from wbmpc.settings import CONTROL_RATE
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.scene import SceneReader
 
@@ -62,7 +64,7 @@ class SimNode:
         seed: int = 0,
         perturbation: Perturbation | None = None,
         *,
-        rate: float = 400.0,
+        rate: float = CONTROL_RATE,
         factor: float = 1.0,
     ) -> None:
         self.node, self.robot, self.settings = node, robot, settings
@@ -147,7 +149,7 @@ class SimNode:
         """As a base's own driver does."""
         speeds = ordered_speeds(self.robot, message)
         with self._changed:
-            self._groups["wheel"][:] = speeds
+            self._groups[WHEELS][:] = speeds
             self._answered(name)
 
     def _take_trajectory(self, name: str, places: list[tuple[str, int]], message: Any) -> None:

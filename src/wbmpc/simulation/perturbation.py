@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT
 
 Array = NDArray[np.float64]
 _Friction = Annotated[float, Field(ge=0, le=100)]
@@ -42,13 +43,13 @@ class Perturbation(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     #: What a plant like the model (:meth:`none`) has in the place of 0.
-    LEFT: ClassVar[Mapping[str, float]] = {"actuator_time_constant": 0.020, "friction": 0.8}
+    LEFT: ClassVar[Mapping[str, float]] = {"actuator_time_constant": ACTUATOR_TIME_CONSTANT, "friction": 0.8}
 
     mass: float = Field(default=0.05, ge=0, lt=0.5)
     inertia: float = Field(default=0.10, ge=0, lt=0.5)
     com_offset: float = Field(default=0.010, ge=0, le=1)
     joint_offset: float = Field(default=0.002, ge=0, le=3.2)
-    actuator_time_constant: float = Field(default=0.020, ge=0, le=10)
+    actuator_time_constant: float = Field(default=ACTUATOR_TIME_CONSTANT, ge=0, le=10)
     actuator_time_constant_spread: float = Field(default=0.30, ge=0, lt=1)
     friction: tuple[_Friction, _Friction] = (0.6, 0.9)
     encoder_jitter: float = Field(default=0.002, ge=0, le=0.5)
@@ -91,6 +92,10 @@ class Perturbation(BaseModel):
         zero = {name: 0 for name, info in cls.model_fields.items() if not isinstance(info.default, BaseModel)}
         return cls(**{**zero, **left, **changes})
 
+    def module_offsets(self) -> tuple[float, float]:
+        """Spreads [rad] of the zero errors of two encoders of each wheel, where a base type has such."""
+        return self.joint_offset, 0.0
+
     def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> PlantSample:
         """One plant: numbers for the named bodies, ``wheels`` driven wheels (modules) and ``arm`` joints.
 
@@ -110,11 +115,10 @@ class Perturbation(BaseModel):
             com={name: around("com_offset", 3) for name in bodies},
             friction=float(rng.uniform(*self.friction)),
             radius=(1.0 + around("wheel_radius")) * (1.0 + around("wheel_radius_each", wheels)),
-            leg_offset=around("joint_offset", wheels),
-            steer_offset=around("steer_offset", wheels),
+            module_offset=np.array([rng.uniform(-half, half, wheels) for half in self.module_offsets()]),
             arm_offset=around("joint_offset", arm),
             wheel_lag=lag(wheels),
-            steer_lag=lag(wheels),
+            module_lag=lag(wheels),
             arm_lag=lag(arm),
             gyro_bias=around("gyro_bias", 3),
             accel_bias=around("accel_bias", 3),
@@ -179,7 +183,8 @@ def perturbation_model(base_type_name: str) -> type[Perturbation]:
 @dataclass(frozen=True)
 class PlantSample:
     """The numbers of one plant: factors by body, shifts (3) [m] of centers of mass in the body's frame, and the rest
-    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``downhill`` [rad]: the
+    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``module_offset`` (2, n) [rad] and
+    ``module_lag`` (n): of two encoders and a drive that carry or turn each of n wheels, where there are such; ``downhill`` [rad]: the
     direction in which a slope falls."""
 
     mass: dict[str, float]
@@ -187,11 +192,10 @@ class PlantSample:
     com: dict[str, Array]
     friction: float
     radius: Array
-    leg_offset: Array
-    steer_offset: Array
+    module_offset: Array
     arm_offset: Array
     wheel_lag: Array
-    steer_lag: Array
+    module_lag: Array
     arm_lag: Array
     gyro_bias: Array
     accel_bias: Array

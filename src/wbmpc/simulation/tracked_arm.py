@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wbmpc.errors import InputError
 from wbmpc.robots.couplings import put_followers
+from wbmpc.robots.home import touching_parts
 from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.perturbation import quantize
 
@@ -58,12 +59,7 @@ def track_arm(robot: RobotModel, plant: ArmPlant, poses: int, seed: int) -> tupl
 def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[int, int]]:
     """Pairs of rigid parts whose shapes are in each other at the arm's positions, and forward kinematics of these."""
     put_followers(model, data)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
-    pairs = data.contact.geom[data.contact.dist < 0.0]
-    parts = np.unique(np.sort(model.body_weldid[model.geom_bodyid[pairs]], axis=1), axis=0)
-    return {(a, b) for a, b in parts.tolist() if a != b}
+    return touching_parts(model, data)
 
 
 def _place(model: mujoco.MjModel, data: mujoco.MjData, frame: str) -> Array:

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from wbmpc.bases.base import WHEELS
 from wbmpc.simulation.arm import ArmPlant, span
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
@@ -53,7 +54,7 @@ def let_tires_slide(spec: mujoco.MjSpec, tires: list[str]) -> None:
 
 
 class WheeledPlant(ArmPlant):
-    """Subclasses also set ``base`` (its ``body``); "wheel" is among their groups of joints."""
+    """Subclasses also set ``base`` (its ``body``); their wheels are a group of joints."""
 
     base: Any
     perturbation: WheeledPerturbation
@@ -61,7 +62,7 @@ class WheeledPlant(ArmPlant):
     # ------------------------------------------------------------------ building
     def stand_on_floor(self, spec: mujoco.MjSpec) -> list[float]:
         """Perturbed masses, a floor, a free body; gives the friction (slide, spin, roll) of what rolls."""
-        self.draw.apply_to_bodies(spec, balanced={spec.joint(n).parent.name for n in self._names["wheel"]})
+        self.draw.apply_to_bodies(spec, balanced={spec.joint(n).parent.name for n in self._names[WHEELS]})
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_DISCRETE)
         friction = [self.draw.friction, 0.005, 1e-4]
         add_floor(spec, 3, friction, TIRE)
@@ -91,7 +92,7 @@ class WheeledPlant(ArmPlant):
         super().index()
         m = self.model
         self._imu = span(np.concatenate([m.sensor(n).adr[0] + np.arange(3) for n in ("gyro", "accel")]))
-        self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in self._names["wheel"]], dtype=int)
+        self._forces = np.array([m.sensor(f"contact_{n}").adr[0] + 2 for n in self._names[WHEELS]], dtype=int)
 
     def start_sensors(self, offsets: dict[str, Array]) -> None:
         """Also the inertial unit, and torques of the arm's drives."""

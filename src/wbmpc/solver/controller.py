@@ -7,13 +7,14 @@ and on arrays of its own: the active plan, ``count`` and ``value`` (:class:`Coun
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
 from wbmpc.solver import compilation, feedback
-from wbmpc.solver.feedback import CUT, evaluate, hold, interval, plan_rows, planned_state
+from wbmpc.solver.feedback import CUT, Plan, evaluate, hold, interval, plan_rows, planned_state
 from wbmpc.solver.memory_layout import (
     GRID,
     LIMIT_TOLERANCE,
@@ -151,11 +152,24 @@ def follow_last(m: Floats, o: Integers, numbers: Floats, integers: Integers, fol
         at += 2 + width
 
 
+class Loop(NamedTuple):
+    """What a controller has beside its plan: the solver's memory, tables and settings, and its own numbers."""
+
+    m: Floats  # the solver's memory, see memory_layout
+    o: Integers  # where what is in it, and sizes
+    numbers: Floats  # samples of references and modes
+    integers: Integers  # where these are
+    settings: Floats  # of the solver
+    log: Floats  # of its iterations
+    follow: Integers  # see follow_last
+    value: Floats  # Value
+
+
 @compiled
-def take_plan(
-    m: Floats, o: Integers, value: Floats, x: Floats, t: float, times: Floats, states: Floats, inputs: Floats, gains: Floats
-) -> None:  # fmt: skip
+def take_plan(c: Loop, plan: Plan, x: Floats, t: float) -> None:
     """The solver's iterate becomes the active plan from ``t`` on."""
+    m, o, value = c.m, c.o, c.value
+    times, states, inputs, gains = plan.times, plan.states, plan.inputs, plan.gains
     n, nx, nu = o[N], o[NX], o[NU]
     for k in range(n + 1):
         times[k] = t + m[o[GRID] + k]
@@ -175,18 +189,16 @@ def take_plan(
 
 
 @compiled
-def iterate(
-    m: Floats, o: Integers, numbers: Floats, integers: Integers, settings: Floats, log: Floats, follow: Integers,
-    count: Integers, value: Floats, x: Floats, t: float, first: int, period: float,
-) -> bool:  # fmt: skip
+def iterate(c: Loop, count: Integers, x: Floats, t: float, first: int, period: float) -> bool:
     """The solves of one update, for the first plan ``first`` of them; whether numbers stayed finite."""
+    m, o, numbers, integers, value = c.m, c.o, c.numbers, c.integers, c.value
     started = count[Count.STARTED] > 0
     delta = t - value[Value.START] if started else 0.0
-    if follow[0] > 0:
-        follow_last(m, o, numbers, integers, follow, t, max(delta, period), delta)
+    if c.follow[0] > 0:
+        follow_last(m, o, numbers, integers, c.follow, t, max(delta, period), delta)
     status, total = 0, 0
     for k in range(1 if started else first):
-        status, done = receding_solve(m, o, numbers, integers, t, delta if k == 0 else 0.0, x, settings, log)
+        status, done = receding_solve(m, o, numbers, integers, t, delta if k == 0 else 0.0, x, c.settings, c.log)
         total += done
     count[Count.STATUS], count[Count.ITERATIONS], count[Count.STARTED], value[Value.START] = status, total, 1, t
     n, nx, nu = o[N], o[NX], o[NU]
@@ -195,11 +207,9 @@ def iterate(
 
 
 @compiled
-def fall_back(
-    m: Floats, o: Integers, count: Integers, value: Floats, x: Floats, times: Floats, states: Floats, inputs: Floats,
-    room: Floats,
-) -> int:  # fmt: skip
+def fall_back(c: Loop, plan: Plan, count: Integers, x: Floats, room: Floats) -> int:
     """After an update without a plan: the last one stays active, and the next solve starts where :func:`recovery` says."""
+    m, o = c.m, c.o
     count[Count.FAILURES] += 1
     if count[Count.PLANNED] == 0:
         return Result.NO_PLAN
@@ -210,81 +220,65 @@ def fall_back(
         start_from(m, o, x, room, True)
         count[Count.STARTED] = 0
     elif after == RESUME:
-        start_from(m, o, states, inputs, False)
-        value[Value.START] = times[0]
+        start_from(m, o, plan.states, plan.inputs, False)
+        c.value[Value.START] = plan.times[0]
     return Result.KEPT
 
 
 @compiled
 def update(
-    m: Floats, o: Integers, numbers: Floats, integers: Integers, settings: Floats, log: Floats, follow: Integers,
-    count: Integers, value: Floats, start: Floats, times: Floats, states: Floats, inputs: Floats, gains: Floats,
-    limits: Floats, rows: Floats, switches: Integers, active: Floats, moving: Floats, room: Floats, r: int, moves: int,
-    by_node: int, by_constant: int, first: int, period: float, t: float, x: Floats,
+    c: Loop, plan: Plan, count: Integers, start: Floats, rows: Floats, switches: Integers, room: Floats, by_node: int, by_constant: int,
+    first: int, period: float, t: float, x: Floats,
 ) -> int:  # fmt: skip
     """A new plan from the state ``x`` at time ``t``."""
+    m, o = c.m, c.o
     if not (np.isfinite(t) and finite(x, 0, o[NX])):
         return Result.NOT_A_NUMBER
-    if count[Count.STARTED] > 0 and t < value[Value.START]:
+    if count[Count.STARTED] > 0 and t < c.value[Value.START]:
         return Result.TIME_WENT_BACK
     for i in range(o[NX]):
         start[i] = x[i]
     count[Count.UPDATES] += 1
-    known = iterate(
-        m=m, o=o, numbers=numbers, integers=integers, settings=settings, log=log, follow=follow, count=count,
-        value=value, x=start, t=t, first=first, period=period,
-    )  # fmt: skip
+    known = iterate(c, count, start, t, first, period)
     status = count[Count.STATUS]
     count[Count.BROKEN] = 0 if known else count[Count.BROKEN] + 1
     usable = known and status != INPUT_INFEASIBLE and status != EQUALITY_INFEASIBLE
     count[Count.FAULTS] = 0 if usable else count[Count.FAULTS] + 1
     if not usable:
-        return fall_back(m, o, count, value, start, times, states, inputs, room)
-    take_plan(m, o, value, start, t, times, states, inputs, gains)
+        return fall_back(c, plan, count, start, room)
+    take_plan(c, plan, start, t)
     plan_rows(
-        p=m, p_at=o[P], n=o[N], size=o[NP], w=m, w_at=o[W], times=times, numbers=numbers, integers=integers,
-        nu=o[NU], limits=limits, rows=rows, switches=switches, r=r, moves=moves, by_node=by_node,
-        by_constant=by_constant, room=room, active=active, moving=moving,
+        p=m, p_at=o[P], n=o[N], size=o[NP], w=m, w_at=o[W], times=plan.times, numbers=c.numbers, integers=c.integers,
+        nu=o[NU], limits=plan.limits, rows=rows, switches=switches, r=plan.r, moves=plan.moves, by_node=by_node,
+        by_constant=by_constant, room=room, active=plan.active, moving=plan.moving,
     )  # fmt: skip
     count[Count.PLANNED] = 1
     return Result.OK
 
 
 @compiled
-def policy(
-    count: Integers, times: Floats, states: Floats, inputs: Floats, gains: Floats, limits: Floats, active: Floats,
-    moving: Floats, room: Floats, n: int, nx: int, nu: int, r: int, moves: int, t: float, x: Floats, u: Floats,
-) -> int:  # fmt: skip
+def policy(count: Integers, plan: Plan, room: Floats, t: float, x: Floats, u: Floats) -> int:
     """The input at time ``t`` in the state ``x``, with feedback, within the limits."""
     if count[Count.PLANNED] == 0:
         return Result.NO_PLAN
-    if not (np.isfinite(t) and finite(x, 0, nx)):
+    if not (np.isfinite(t) and finite(x, 0, plan.nx)):
         return Result.NOT_A_NUMBER
-    found = evaluate(
-        times=times, states=states, inputs=inputs, gains=gains, limits=limits, active=active, moving=moving, n=n, nx=nx,
-        nu=nu, r=r, moves=moves, limited=True, t=t, x=x, room=room, u=u,
-    )  # fmt: skip
+    found = evaluate(plan, True, t, x, room, u)
     if found == CUT:
         count[Count.CUT] += 1
     return Result.NOT_A_NUMBER if found < 0 else Result.OK
 
 
 @compiled
-def planned(
-    count: Integers, times: Floats, states: Floats, inputs: Floats, limits: Floats, active: Floats, moving: Floats,
-    room: Floats, n: int, nx: int, nu: int, r: int, moves: int, t: float, x: Floats, u: Floats,
-) -> int:  # fmt: skip
+def planned(count: Integers, plan: Plan, room: Floats, t: float, x: Floats, u: Floats) -> int:
     """The planned state and input at time ``t``, the input within the limits."""
     if count[Count.PLANNED] == 0:
         return Result.NO_PLAN
     if not np.isfinite(t):
         return Result.NOT_A_NUMBER
-    planned_state(times, states, n, nx, t, x)
-    k = interval(times, n, t)
-    for j in range(nu):
-        u[j] = inputs[k * nu + j]
-    hold(
-        times=times, inputs=inputs, limits=limits, active=active, moving=moving, n=n, nu=nu, r=r, moves=moves,
-        feedback=False, t=t, room=room, u=u,
-    )  # fmt: skip
+    planned_state(plan.times, plan.states, plan.n, plan.nx, t, x)
+    k = interval(plan.times, plan.n, t)
+    for j in range(plan.nu):
+        u[j] = plan.inputs[k * plan.nu + j]
+    hold(plan, False, t, room, u)
     return Result.OK

@@ -8,6 +8,7 @@ offsets (r,), which inputs a row may scale back (r, nu; 1 or 0), and the input o
 from __future__ import annotations
 
 import threading
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,23 @@ compiled = LIBRARY.step
 ROUNDING = 1e-9
 #: What became of an input.
 FINE, CUT, NOT_FINITE = 0, 1, -1
+
+
+class Plan(NamedTuple):
+    """The plan of a policy over n intervals, for nx states and nu inputs, and the r rows that hold its inputs."""
+
+    times: Floats  # (n + 1) [s]
+    states: Floats  # (n + 1, nx)
+    inputs: Floats  # (n, nu)
+    gains: Floats  # (n, nu, nx)
+    limits: Floats  # see the module
+    active: Floats  # (n, r), which rows count
+    moving: Floats  # (n, 2, r), offsets at the beginning and end of an interval, where they move
+    n: int
+    nx: int
+    nu: int
+    r: int
+    moves: int  # whether offsets move
 
 
 @compiled
@@ -53,12 +71,11 @@ def planned_state(times: Floats, states: Floats, n: int, nx: int, t: float, x: F
 
 
 @compiled
-def law(
-    times: Floats, states: Floats, inputs: Floats, gains: Floats, n: int, nx: int, nu: int, t: float, x: Floats, u: Floats
-) -> bool:  # fmt: skip
+def law(plan: Plan, t: float, x: Floats, u: Floats) -> bool:
     """u = u_ff + K (x − x_ff) at time t; whether it is finite."""
-    k = interval(times, n, t)
-    a = share(times, k, t)
+    states, inputs, gains, nx, nu = plan.states, plan.inputs, plan.gains, plan.nx, plan.nu
+    k = interval(plan.times, plan.n, t)
+    a = share(plan.times, k, t)
     for j in range(nu):
         u[j] = inputs[k * nu + j]
     for i in range(nx):
@@ -181,31 +198,23 @@ def within(
 
 
 @compiled
-def hold(
-    times: Floats, inputs: Floats, limits: Floats, active: Floats, moving: Floats, n: int, nu: int, r: int, moves: int,
-    feedback: bool, t: float, room: Floats, u: Floats,
-) -> bool:  # fmt: skip
+def hold(plan: Plan, feedback: bool, t: float, room: Floats, u: Floats) -> bool:
     """As :func:`within` at time t, with offsets that are linear in time over an interval where they move."""
-    k = interval(times, n, t)
-    if moves > 0:
-        a = share(times, k, t)
+    moving, nu, r = plan.moving, plan.nu, plan.r
+    k = interval(plan.times, plan.n, t)
+    if plan.moves > 0:
+        a = share(plan.times, k, t)
         for row in range(r):
             room[3 * nu + row] = (1.0 - a) * moving[2 * k * r + row] + a * moving[(2 * k + 1) * r + row]
-    return within(u, inputs, k, limits, active, r, nu, moves > 0, feedback, room)
+    return within(u, plan.inputs, k, plan.limits, plan.active, r, nu, plan.moves > 0, feedback, room)
 
 
 @compiled
-def evaluate(
-    times: Floats, states: Floats, inputs: Floats, gains: Floats, limits: Floats, active: Floats, moving: Floats, n: int, nx: int,
-    nu: int, r: int, moves: int, limited: bool, t: float, x: Floats, room: Floats, u: Floats,
-) -> int:  # fmt: skip
+def evaluate(plan: Plan, limited: bool, t: float, x: Floats, room: Floats, u: Floats) -> int:
     """The input at time t in the state x: FINE, CUT to the limits where it is ``limited``, or NOT_FINITE."""
-    if not law(times, states, inputs, gains, n, nx, nu, t, x, u):
+    if not law(plan, t, x, u):
         return NOT_FINITE
-    if limited and hold(
-        times=times, inputs=inputs, limits=limits, active=active, moving=moving, n=n, nu=nu, r=r, moves=moves, feedback=True,
-        t=t, room=room, u=u,
-    ):  # fmt: skip
+    if limited and hold(plan, True, t, room, u):
         return CUT
     return FINE
 
@@ -292,8 +301,8 @@ def plan_rows(
             moving[2 * k * r + row], moving[(2 * k + 1) * r + row] = start - over, end - over
 
 
-#: How many arguments of :func:`evaluate` are the policy's; then come ``limited``, t, x, room, u, and the result.
-_OWN, _ARGUMENTS = 12, 17
+#: Arguments of :func:`evaluate` as machine code: the plan's; then come ``limited``, t, x, room, u, and the result.
+_OWN, _ARGUMENTS = len(Plan._fields), len(Plan._fields) + 5
 
 
 class Evaluation(threading.local):

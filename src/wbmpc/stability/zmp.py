@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc import constants
 from wbmpc.checks import finite
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
 #: Gravity [m/s²] on level ground.
-GRAVITY = (0.0, 0.0, -9.81)
+GRAVITY = (0.0, 0.0, -constants.GRAVITY)
 _NOTHING = (0.0, 0.0, 0.0)
 
 
@@ -70,7 +71,7 @@ class Load:
         return cls(force, np.cross(c, force) - _vector("spin rate", spin_rate))
 
 
-def slope_gravity(slope: float, uphill: float = 0.0, size: float = 9.81) -> Array:
+def slope_gravity(slope: float, uphill: float = 0.0, size: float = constants.GRAVITY) -> Array:
     """Gravity (3) [m/s²] in the frame of ground that rises by ``slope`` [rad] towards the direction ``uphill`` [rad].
 
     Raises :class:`InputError` for slopes of a quarter turn or more, on which nothing stands.

@@ -68,13 +68,12 @@ def in_turn(
     return BasePath.of(twists), spans
 
 
-def random_twists(
-    duration: float, speed: float, rate: float, seed: int, *, ramp: float = 1.0, rests: float = 0.2
-) -> BasePath:
+def random_twists(duration: float, speed: float, rate: float, seed: int) -> BasePath:
     """Body twists that change every 2 to 6 s: a direction and a speed up to ``speed`` [m/s], a yaw rate up to ``rate`` [rad/s].
 
-    With probability ``rests`` the base shall stand instead. Starts and ends at rest.
+    In one case of five the base shall stand instead. Starts and ends at rest.
     """
+    ramp, rests = 1.0, 0.2
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(round(duration / STEP) + 1)
     twists, previous, when = np.zeros((t.size, 3)), np.zeros(3), 0.5

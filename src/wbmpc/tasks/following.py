@@ -113,12 +113,17 @@ def _base_goes_along(robot: RobotModel, mpc: MPC) -> bool:
 def beside(robot: RobotModel, path: Path) -> Callable[[Array], Array]:
     """States (n, nx) at arc lengths (n) [m]: home, with the base where it carries the end effector along the path."""
     s = np.linspace(0.0, path.length, TABLE)
-    base, part = carried_base(robot, path.at(s)), robot.state["base"].start
+    return states_along(robot, s, carried_base(robot, path.at(s)))
+
+
+def states_along(robot: RobotModel, arc: Array, base: Array) -> Callable[[Array], Array]:
+    """States (n, nx) at arc lengths (n) [m]: home, with the base at poses (k, 3) of the lengths ``arc`` (k) [m], straight between them."""
+    part = robot.state["base"].start
 
     def states(at: Array) -> Array:
         values = np.tile(robot.home, (len(at), 1))
         for k in range(3):
-            values[:, part + k] = np.interp(at, s, base[:, k])
+            values[:, part + k] = np.interp(at, arc, base[:, k])
         return values
 
     return states

@@ -48,7 +48,8 @@ def strokes(robot: RobotModel) -> list[Order]:
 def drive(robot: RobotModel, perturbation: Perturbation, seed: int) -> tuple[Log, str]:
     """The drive of a simulated robot, with what its encoders say and where a localization sees it; and why it ended early (empty: it did
     not)."""
-    made, log = base_type(robot.description.base.type).system(robot, seed, perturbation), Log()
+    plugin, log = base_type(robot.description.base.type), Log()
+    made, channels = plugin.system(robot, seed, perturbation), plugin.calibration_channels
     start = robot.home[moving_base(robot, "reference drive")]
     times, poses = base_path(strokes(robot), start, 0.0, ordered_twist(robot))
     lead_base(robot, made.mpc, times, poses)
@@ -61,8 +62,8 @@ def drive(robot: RobotModel, perturbation: Perturbation, seed: int) -> tuple[Log
         message = controller.measured
         turning.append(float(message.gyro[2]))
         if round(t / made.timing.period) % EVERY == 0:
-            for name in ("wheel", "steer", "leg"):
-                if np.size(getattr(message, name, ())):
+            for name in channels:
+                if np.size(getattr(message, name)):
                     log.add(name, t, getattr(message, name))
             log.add("gyro", t, np.mean(turning))
             turning.clear()

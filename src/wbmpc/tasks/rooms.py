@@ -109,11 +109,11 @@ def _walls(
     return [_wall(f"wall_{name}", np.array(a), np.array(b), ground) for name, (a, b) in walls.items()]
 
 
-def _wall(name: str, a: Array, b: Array, ground: float, high: float = HIGH) -> SceneObstacle:
+def _wall(name: str, a: Array, b: Array, ground: float) -> SceneObstacle:
     """From a to b (2) [m], along an axis of the world."""
     half = 0.5 * np.abs(b - a) + THICK
-    shape = Box((float(half[0]), float(half[1]), 0.5 * high))
-    return SceneObstacle(name, shape, {"position": np.array([*(0.5 * (a + b)), ground + 0.5 * high])})
+    shape = Box((float(half[0]), float(half[1]), 0.5 * HIGH))
+    return SceneObstacle(name, shape, {"position": np.array([*(0.5 * (a + b)), ground + 0.5 * HIGH])})
 
 
 def _thing(

@@ -15,6 +15,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
 from wbmpc.settings import (
+    COMPUTATION_DELAY,
     NoStability,
     Positive,
     ReadBy,
@@ -38,7 +39,7 @@ class SimulationSettings(Settings):
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
     plant: AnyPerturbation = AnyPerturbation()
-    computation_delay: float = Field(0.010, ge=0, le=1.0)
+    computation_delay: float = Field(COMPUTATION_DELAY, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
     calibration: Literal["none", "drive"] = "none"
     obstacles: Annotated[Path | None, ReadBy(load_scene)] = None

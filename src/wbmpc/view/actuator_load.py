@@ -9,8 +9,6 @@ from wbmpc.robots import RobotDescription
 Array = np.ndarray
 #: Names of the groups; ``drives`` are those of a base that are commanded by torque: the others' limits are speeds.
 GROUPS = ("arm", "legs", "steering", "wheels", "drives")
-#: What a base's groups of joints are called here; joints of other groups are shown with none.
-_OF_BASE = {"leg": "legs", "steer": "steering", "wheel": "wheels"}
 
 
 class Loads:
@@ -19,7 +17,7 @@ class Loads:
     def __init__(self, robot: RobotDescription, joints: list[str]) -> None:
         base, limits = robot.base, robot.limits
         groups = base.joint_groups()
-        members = {"arm": robot.arm.joints, **{name: groups.get(group, []) for group, name in _OF_BASE.items()}}
+        members = {"arm": robot.arm.joints, **{name: groups.get(group, []) for group, name in base.captions.items()}}
         self._limits = np.array([limits.velocity.get(name, np.inf) for name in joints])
         places = {
             group: [i for i, joint in enumerate(joints) if joint in names and np.isfinite(self._limits[i])]

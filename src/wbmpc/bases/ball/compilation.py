@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from wbmpc.estimation.compilation import LIBRARY as ESTIMATION
 from wbmpc.kernel.library import Library
 from wbmpc.solver.compilation import LIBRARY as DRIVER
 
 _STEPS = (
+    "disturbance_step",
+    "inertial_gate_step",
     "filter_step",
     "filter_solve",
     "joint_step",
@@ -17,15 +18,13 @@ _STEPS = (
     "lean_step",
     "push_step",
 )
-_PACKAGES = ("bases/ball", "estimation", "kernel")
-LIBRARY = Library(
-    "ball robot", packages=_PACKAGES, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS), uses=(ESTIMATION,)
-)
+_PACKAGES = ("bases/ball", "kernel", "constants.py")
+LIBRARY = Library("ball robot", packages=_PACKAGES, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS))
 compiled, step = LIBRARY.compiled, LIBRARY.step
 #: Steps that ask the model, which is the solver's: those of a robot that only estimates need no solver.
 MODEL = Library(
     "ball robot with its model",
     packages=(*_PACKAGES, "solver"),
     modules=("wbmpc.bases.ball.model_step",),
-    uses=(LIBRARY, ESTIMATION, DRIVER),
+    uses=(LIBRARY, DRIVER),
 )

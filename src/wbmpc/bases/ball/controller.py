@@ -8,6 +8,7 @@ from operator import mul
 
 import numpy as np
 
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
@@ -22,7 +23,6 @@ from wbmpc.bases.ball.sent_torques import DriveSettings, SentTorques
 from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.checks import numbers, positive
 from wbmpc.errors import NotFinite, SensorFailure
-from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy

@@ -16,9 +16,9 @@ from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
-from wbmpc.estimation.late_poses import AHEAD
 from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
+from wbmpc.types import POSE_AHEAD
 
 Array = NDArray[np.float64]
 #: A robot stands still when ball and arm are slower than this [m/s, rad/s], for so long [s].
@@ -84,13 +84,13 @@ class BallEstimator:
     def correct(self, time: float, pose: ArrayLike, covariance: ArrayLike) -> Array:
         """Take in another source's pose (x, y, yaw) of the base at ``time`` [s] with its covariance (3, 3), as of the update that
         is nearest to it; returns the state (2 nq) now. A pose that is older than :data:`HISTORY`, or of a future that no message
-        has come from (:data:`wbmpc.estimation.late_poses.AHEAD`), does not count.
+        has come from (:data:`wbmpc.types.POSE_AHEAD`), does not count.
 
         Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; nothing is taken in then."""
         finite("ball robot's estimator", time=time)
         pose = numbers("ball robot's estimator", "pose", pose, 3)
         covariance = checked_covariance("ball robot's estimator", covariance)
-        if self._time is None or not self._time - HISTORY <= time <= self._time + AHEAD:
+        if self._time is None or not self._time - HISTORY <= time <= self._time + POSE_AHEAD:
             return self.state
         then = min(self._places, key=lambda place: abs(place[0] - time))[1]
         wrong = pose - then

@@ -13,21 +13,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import lie
+from wbmpc.bases.ball import chi_square
 from wbmpc.bases.ball.filter_memory import FilterMemory
 from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, skew
 from wbmpc.bases.ball.filter_step import State
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
+from wbmpc.bases.ball.inertial import forget, gate_arrays
+from wbmpc.bases.ball.inertial_gate_step import FAULTS
 from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
+from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.estimation import chi_square
-from wbmpc.estimation.inertial import forget, gate_arrays
-from wbmpc.estimation.inertial_gate_step import FAULTS
 from wbmpc.kernel.step import Backend
 
 Array = NDArray[np.float64]
-GRAVITY = np.array([0.0, 0.0, 9.81])
+_REST = np.array([0.0, 0.0, GRAVITY])
 #: Probability of more than this surprise without a fault; what a wheel must have turned [rad] before an encoder that does not
 #: move is called stalled: one that stays within so many counts.
 GATE, STALLED, STILL = 1e-4, 1e-2, 3.0
@@ -55,7 +56,7 @@ class BallFilter:
         position = np.array([*numbers("ball filter", "position", np.asarray(position)[:2], 2), 0.0])
         numbers("ball filter", "rotation", np.ravel(rotation), 9)
         self.freedom, self.surprise = n + 1, 0.0
-        gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ GRAVITY)
+        gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ _REST)
         self._gate = chi_square.gate(self.freedom, GATE)
         constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "largest_step": STALLED}
         self._memory = FilterMemory(geometry, noise, gate, backend, **constants)

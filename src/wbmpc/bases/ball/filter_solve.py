@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.bases.ball.filter_step import Filter, Noise, Row, State, advance, apply, linearize
-from wbmpc.estimation.inertial_gate_step import FINE, JUMPS, UNKNOWN_PUSH, UNKNOWN_TURN, Gate, judge
+from wbmpc.bases.ball.inertial_gate_step import FINE, JUMPS, UNKNOWN_PUSH, UNKNOWN_TURN, Gate, judge
 from wbmpc.kernel.ir import Floats
 
 #: Variance [rad²] of rows that count for nothing.

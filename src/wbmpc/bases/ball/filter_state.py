@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc import lie
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
 
@@ -99,14 +98,6 @@ class BallState:
             self.position + d[P], self.velocity + d[V], self.rotation @ rotation_of(d[A]), self.gyro_bias + d[BG],
             self.accel_bias + d[BA], self.wheel + d[16 : 16 + n], self.scale + float(d[15]),
         )  # fmt: skip
-
-    def minus(self, other: BallState) -> Array:
-        """The error (16 + n) that moves ``other`` to this state."""
-        turned = lie.quaternion_log(lie.rotation_to_quaternion(other.rotation.T @ self.rotation))
-        return np.concatenate([
-            self.position - other.position, self.velocity - other.velocity, turned, self.gyro_bias - other.gyro_bias,
-            self.accel_bias - other.accel_bias, [self.scale - other.scale], self.wheel - other.wheel,
-        ])  # fmt: skip
 
 
 def skew(a: Array) -> Array:

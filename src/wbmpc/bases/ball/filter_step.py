@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
+from wbmpc.constants import GRAVITY
 from wbmpc.kernel.ir import Floats
 
-GRAVITY, PI = 9.81, float(np.pi)
+PI = float(np.pi)
 
 
 class State(IntEnum):

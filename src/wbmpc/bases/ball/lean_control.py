@@ -110,9 +110,6 @@ class LeanControl:
                 f"{what}: the ball goes faster than {self.speed:g} m/s (max_pushed_speed); motors off"
             )
 
-    def _balanced_offset(self, force: Array, yaw: float) -> Array:
-        return np.array(self._offsets(force, yaw)[2:])
-
     def _offsets(self, force: Array, yaw: float) -> list[float]:
         """Shift (2), along the world's axes, what the wheels bear (2), along the heading's, [m] of the reach."""
         asked = (*force[:BASE].tolist(), yaw)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.joints import Limits, joint_limits
 from wbmpc.model.kinematics import Chain, FramePose, solve_spd
@@ -294,7 +295,7 @@ class BallNumeric:
         base = self._base
         if "weight" not in self._numeric:
             s = ca.SX.sym("q", base.nq)
-            function = ca.Function("weight", [s], [ca.densify(base.tool_force(s, ca.SX([0, 0, -9.81])))])
+            function = ca.Function("weight", [s], [ca.densify(base.tool_force(s, ca.SX([0, 0, -GRAVITY])))])
             self._numeric["weight"] = Numeric(function)
         return self._numeric["weight"](q)[0].ravel()
 

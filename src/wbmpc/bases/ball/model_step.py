@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wbmpc.bases.ball.compilation import MODEL
+from wbmpc.bases.ball.disturbance_step import Clock, Disturbance, Gate, Setting, observe
 from wbmpc.bases.ball.payload_step import Payload, update_mass
-from wbmpc.estimation.disturbance_step import Clock, Disturbance, Gate, Setting, observe
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
 from wbmpc.solver.receding import simulate
 

@@ -6,11 +6,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.model_step import accelerate, learn
 from wbmpc.bases.ball.payload import PayloadEstimator
+from wbmpc.constants import GRAVITY
 from wbmpc.errors import UnsupportedOperation
-from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
@@ -90,5 +91,5 @@ def _inertia(robot: RobotModel) -> CompiledFunction:
     """Mass matrix (n n) by rows and weight (n) of 1 kg at the tool, of the coordinates (n)."""
     base = ball_base(robot)
     q = ca.SX.sym("q", base.nq)
-    mass, weight = base.mass_matrix(q), base.tool_force(q, ca.SX([0, 0, -9.81]))
+    mass, weight = base.mass_matrix(q), base.tool_force(q, ca.SX([0, 0, -GRAVITY]))
     return CompiledFunction(ca.Function("inertia", [q], [ca.densify(ca.vertcat(ca.vec(mass.T), weight))]))

@@ -89,7 +89,7 @@ class PayloadEstimator:
     def observe(self, q: Array, observed: dict[str, Array], learning: float, h: float) -> None:
         """Weigh for ``h`` [s] at joint positions q (nq) what a disturbance observer has found, whose arrays ``observed`` are (always
         the same ones), at once where a load comes or goes; its ``force`` goes without what became mass.
-        ``learning``: see :class:`wbmpc.estimation.disturbance.DisturbanceObserver`."""
+        ``learning``: see :class:`wbmpc.bases.ball.disturbance.DisturbanceObserver`."""
         own = self.bound(observed)
         own["weight"][:] = self.weight(q)
         self._steps["update_mass"](learning, h)

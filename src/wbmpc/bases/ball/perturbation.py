@@ -17,7 +17,7 @@ class RigidDrives(Choice):
 
 
 class SeriesElasticDrives(Choice):
-    """Torque drives behind springs (:mod:`wbmpc.simulation.elastic_drives`). ``wheel_spring`` [N m/rad]: stiffness at the wheels;
+    """Torque drives behind springs (:mod:`wbmpc.bases.ball.elastic_drives`). ``wheel_spring`` [N m/rad]: stiffness at the wheels;
     ``arm_spring`` [N m/rad]: stiffness at the arm's joints; ``wheel_rotor`` [kg m²]: a wheel drive's rotor, at the joint; ``arm_rotor``
     [kg m²]: an arm drive's rotor, at the joint; ``spring_damping``: damping ratio of the springs; ``torque_gain``: gain of the torque loop;
     ``torque_damping``: damping of the torque loop. Their figures are assumed: none are published."""

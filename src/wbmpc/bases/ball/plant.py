@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.ball.description import BallBaseDescription
+from wbmpc.bases.ball.elastic_drives import ElasticDrives
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.perturbation import BallPerturbation, RigidDrives, SeriesElasticDrives
 from wbmpc.bases.ball.sensor_step import minimal_state
@@ -26,7 +27,6 @@ from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.contacts import GROUND, ROLLING
-from wbmpc.simulation.elastic_drives import ElasticDrives
 from wbmpc.simulation.payloads import add_payload, lay_cables
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import (

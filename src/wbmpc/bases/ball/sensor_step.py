@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
+from wbmpc.constants import GRAVITY
 from wbmpc.kernel.ir import Floats, Integers
-
-GRAVITY = 9.81
 
 
 @compiled

@@ -19,15 +19,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Reference
-from wbmpc.settings import MpcSettings
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE, MpcSettings
 from wbmpc.simulation.lockstep import Timing
-
-#: Rate of the controller [Hz], drive lag that it assumes [s].
-CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
-
-
-#: Time that a solve is modeled to take [s].
-COMPUTATION_DELAY = 0.010
 
 
 def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
@@ -48,6 +41,6 @@ def make_system(robot: RobotModel, plant: BallPlant, mpc: MPC) -> System:
     arm = robot.home[robot.state["arm"]]
     _, torque = ball_base(robot).numeric.equilibrium(arm)
     timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-    controller = BallController(robot, mpc, torque, timing.period, DriveSettings(DRIVE_LAG))
+    controller = BallController(robot, mpc, torque, timing.period, DriveSettings(ACTUATOR_TIME_CONSTANT))
     controller.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
     return System(plant, controller, mpc, timing)

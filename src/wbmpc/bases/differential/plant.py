@@ -11,6 +11,7 @@ import numpy as np
 
 from wbmpc.bases.differential.model import caster_places
 from wbmpc.bases.planar_motion.plant import PlanarPlant, contact_settings
+from wbmpc.constants import GRAVITY
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.world import Array
 
@@ -48,7 +49,7 @@ def add_casters(plant: PlanarPlant, spec: mujoco.MjSpec, weight: float, at: Arra
     """Ball casters on springs at (n, 2) [m] in the axes of the body, of a robot of ``weight`` [N]."""
     load, radius = SHARE * weight / len(at), _SIZE * plant.model_base.geometry.radius
     stiffness = load / TRAVEL
-    damping = 2.0 * DAMPING * np.sqrt(stiffness * load / 9.81)
+    damping = 2.0 * DAMPING * np.sqrt(stiffness * load / GRAVITY)
     for i, (x, y) in enumerate(at):
         body = spec.body(plant.base.body).add_body(
             name=f"wbmpc_caster_{i}", pos=[x, y, radius - plant.model_base.geometry.height]

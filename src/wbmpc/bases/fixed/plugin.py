@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from wbmpc.simulation.perturbation import ArmPerturbation, Perturbation
     from wbmpc.simulation.world import Edit
 
-#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
-CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
-
 
 class FixedBaseType(BaseType):
     """What generic code may ask of robots whose base does not move."""
@@ -84,12 +81,15 @@ class FixedBaseType(BaseType):
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.control.direct import DirectController
+        from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE
         from wbmpc.simulation.lockstep import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         rate = robot.limits.input_rate
-        return System(plant, DirectController(robot, mpc, timing.period, DRIVE_LAG, rate=rate), mpc, timing)
+        return System(
+            plant, DirectController(robot, mpc, timing.period, ACTUATOR_TIME_CONSTANT, rate=rate), mpc, timing
+        )
 
     def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
         """Weights that scale with the robot."""

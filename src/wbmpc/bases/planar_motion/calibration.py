@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
+from wbmpc.bases.planar_motion.strokes import Strokes, fit_strokes
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
-from wbmpc.estimation.strokes import Strokes, fit_strokes
 
 Array = NDArray[np.float64]
 #: Standard deviations before any measurement (relative): of a radius, and of a speed of the base, which rollers that creep and tracks that
@@ -20,7 +20,7 @@ RADIUS, SPEED = 0.01, 0.03
 def fit_errors(
     odometry: Callable[[WheelErrors], PlanarOdometry], size: tuple[int, int], channels: Mapping[str, Array], source: str
 ) -> WheelErrors:
-    """What a log's ``channels`` show (:class:`wbmpc.estimation.strokes.Strokes`); ``odometry`` at the origin for errors of (n, m)
+    """What a log's ``channels`` show (:class:`wbmpc.bases.planar_motion.strokes.Strokes`); ``odometry`` at the origin for errors of (n, m)
     ``size``."""
     wheels, _ = size
     strokes = Strokes.of(channels, source)

@@ -10,6 +10,7 @@ from wbmpc.bases.planar_motion.description import PlanarBaseDescription
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.model import PlanarBase
 from wbmpc.checks import numbers
+from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
@@ -80,7 +81,7 @@ class PlanarPlant(WheeledPlant):
     # ------------------------------------------------------------------ building
     def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         friction = self.stand_on_floor(spec)
-        weight = float(spec.compile().body_mass.sum()) * 9.81
+        weight = float(spec.compile().body_mass.sum()) * GRAVITY
         for i in range(len(self._names["wheel"])):
             self.drive_wheel(spec, i)
             self.add_wheel(spec, i, self.model_base.geometry.radius * float(self.draw.radius[i]), friction)

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from wbmpc.simulation.world import Edit
 
 Array = NDArray[np.float64]
-#: Rate of the controller [Hz], drive lag that it assumes [s], time that a solve is modeled to take [s].
-CONTROL_RATE, DRIVE_LAG, COMPUTATION_DELAY = 400.0, 0.020, 0.010
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
 ILL = 20.0
 
 
 class PlanarBaseType(BaseType):
     """Checks and system; a base type adds ``Description``, ``model`` and ``plant``."""
+
+    calibration_channels = ("wheel", "steer")
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Joints that are wheels."""
@@ -87,12 +87,15 @@ class PlanarBaseType(BaseType):
         calibration: Calibration | None = None,
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
+        from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE
         from wbmpc.simulation.lockstep import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
         wheels = None if calibration is None else WheelErrors(**calibration)
-        controller = self.controller()(robot, plant.truth().pose, timing.period, lag=DRIVE_LAG, wheels=wheels)
+        controller = self.controller()(
+            robot, plant.truth().pose, timing.period, lag=ACTUATOR_TIME_CONSTANT, wheels=wheels
+        )
         return System(plant, controller, mpc, timing)
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:

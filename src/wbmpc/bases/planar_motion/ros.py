@@ -41,6 +41,8 @@ GAP, REST = 0.1, 0.5
 REMEMBERED = 400
 #: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that restart.
 SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
+#: Angles of steering joints that there are not.
+_NO_STEERING = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -209,7 +211,8 @@ class PlanarRosAdapter(BaseAdapter):
         self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
     ) -> BusMeasurement:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
-        wheel, arm, steer = (sample.groups[g] for g in ("wheel", "arm", "steer"))
+        wheel, arm = sample.groups["wheel"], sample.groups["arm"]
+        steer = sample.groups.get("steer", _NO_STEERING)
         if imu is None:
             return BusMeasurement(at, wheel, arm, steer=steer, origin=origin, series=sample.series)
         turning = None if imu.turning is None or not self.settings.use_gyro else float(imu.turning[2])

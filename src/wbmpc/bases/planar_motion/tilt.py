@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
-_GRAVITY = 9.81
 #: Doubt at the start of a lean [rad] and of a gyro's bias [rad/s]; walk of the bias [rad/s/√s] and of the lean [rad/√s]: the gyro's noise;
 #: noise of what the accelerometer shows of the vertical [rad/√Hz]: also of motion that is not known.
 LEAN, BIAS, WALK, NOISE, VERTICAL = 0.02, 0.05, 3e-5, 3e-4, 2e-3
@@ -64,7 +64,7 @@ class TiltFilter:
         rates = turn_z * y - turn_y, turn_x - turn_z * x
         for k, (rate, shown) in enumerate(zip(rates, (accel_x - own[0], accel_y - own[1]), strict=True)):
             up = self._up[k] + h * (rate + self._bias[k])
-            off = shown / _GRAVITY - up
+            off = shown / GRAVITY - up
             self._up[k], self._bias[k] = up + gain * off, self._bias[k] + bias_gain * off
             self._lean[k] += slow * (self._up[k] - self._lean[k])
 

@@ -17,14 +17,20 @@ from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.ocp import Mode, ModeSchedule
 
 Array = NDArray[np.float64]
-#: Legs hold the base by less than this where it counts as floating; how long [s] it may float on the way to other angles.
-FLOATING, PASS = 0.05, 1.0
+#: A base that its legs hold by less than this (:func:`floating`) counts as floating.
+FLOATING = 0.05
+#: Time [s] that it may float while legs pass through such angles on their way to others.
+FLOATING_TIME = 1.0
 #: Time [s] that brakes take by default.
 BRAKE_DELAY = 0.1
-#: A brake that is to close waits until its leg is within this [rad] of where it is to be, so long [s] at most: a wheel that hangs in
-#: the air comes down again. So long [s] before a brake closes that is decided, for plans have to know; by so much [s] it closes later
-#: each time.
-ARRIVED, WAIT, NOTICE, LATER = 0.015, 2.0, 0.3, 0.2
+#: A leg within this [rad] of where it is to be has arrived: its brake closes.
+ARRIVED = 0.015
+#: A brake waits for its leg so long [s] at most: a wheel that hangs in the air comes down again.
+MAX_WAIT = 2.0
+#: So long [s] before a brake closes it is decided whether it waits: plans have to know.
+NOTICE = 0.3
+#: By so much [s] a brake that waits closes later each time.
+POSTPONEMENT = 0.2
 #: Length [m] that turns a yaw rate into a speed.
 _LEVER = 0.5
 #: Rate [rad/s] of legs whose speed has no limit.
@@ -77,7 +83,7 @@ def reject_floating_way(
     geometry: ModuleGeometry, leg: ArrayLike, goal: ArrayLike, brake: ArrayLike, rate: ArrayLike
 ) -> None:
     """Raise :class:`InputError` if legs on their way from ``leg`` to ``goal`` (n) [rad] at ``rate`` (n) [rad/s] hold the base
-    against nothing for longer than ``PASS``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel;
+    against nothing for longer than ``FLOATING_TIME``, brakes (n, 1 = open) as given: as from H to other angles that are all parallel;
     also for numbers that are not finite, of another length, or rates that are not positive.
     """
     n = geometry.modules
@@ -91,10 +97,10 @@ def reject_floating_way(
         at = start + np.sign(way) * np.minimum(np.abs(way), t * rate)
         held, motion = floating(geometry, at, brake)
         since = min(since, t) if held < FLOATING else np.inf
-        if t - since > PASS:
+        if t - since > FLOATING_TIME:
             raise InputError(
                 f"brakes: on the way to {np.round(goal, 2)} rad nothing would hold the base against "
-                f"{described(motion)} for more than {PASS:g} s; valid: one leg after the other, or other leg angles"
+                f"{described(motion)} for more than {FLOATING_TIME:g} s; valid: one leg after the other, or other leg angles"
             )
 
 
@@ -204,17 +210,18 @@ class BrakeControl:
             return
         at, before, after = times[k], states[k - 1], states[k]
         closes = before > after
-        self._due[closes & (at > self._due + WAIT + 0.5 * LATER)] = np.inf  # another command than the one that waited
+        another = at > self._due + MAX_WAIT + 0.5 * POSTPONEMENT  # command than the one that waited
+        self._due[closes & another] = np.inf
         self._due[closes] = np.minimum(self._due[closes], at)
         away = np.abs(leg - self.arrivals(at)) - self._fastest * (at - t)
-        waits = closes & (away > ARRIVED) & (at + LATER < self._due + WAIT)
+        waits = closes & (away > ARRIVED) & (at + POSTPONEMENT < self._due + MAX_WAIT)
         if waits.any():
             self._postpone(at, waits)
 
     def _postpone(self, at: float, waits: NDArray[np.bool_]) -> None:
-        """The event at ``at`` [s], and what comes within ``LATER``, is so much later for the brakes (n) that wait."""
+        """The event at ``at`` [s], and what comes within ``POSTPONEMENT``, is so much later for the brakes (n) that wait."""
         times, states = self._events
-        later, k = at + LATER, bisect_left(times, at)
+        later, k = at + POSTPONEMENT, bisect_left(times, at)
         before, end, rest = states[k - 1], bisect_left(times, later), bisect_right(times, later)
         between = [np.where(waits, before, s) for s in states[k:end]]
         self._events = [*times[:end], later, *times[rest:]], [*states[:k], *between, states[rest - 1], *states[rest:]]

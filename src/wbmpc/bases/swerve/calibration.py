@@ -1,7 +1,7 @@
 """Self-calibration of a swerve base's wheels from a recorded run with global poses.
 
 The poses come from a localization, or from a survey of a short reference drive (two poses, one before and one after a
-stroke, are enough for the directions that the drive shows). The filter of :mod:`wbmpc.estimation.fused_odometry` runs over the
+stroke, are enough for the directions that the drive shows). The filter of :mod:`wbmpc.bases.swerve.fused_odometry` runs over the
 record; what it then believes of the wheels is the calibration, with its covariance: directions that the drive does not
 show keep the uncertainty that they had.
 """
@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.hanging_wheels import weights_on_the_ground
+from wbmpc.bases.swerve.odometry_filter import OdometryNoise
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_record import STILL, WheelRecord
 from wbmpc.errors import InputError
-from wbmpc.estimation.fused_odometry import FusedOdometry
-from wbmpc.estimation.odometry_filter import OdometryNoise
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]

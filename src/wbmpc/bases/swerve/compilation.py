@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from wbmpc.control.compilation import LIBRARY as CONTROL
 from wbmpc.kernel.library import Library
 
-_STEPS = ("slip_step", "inertial_step", "brake_step", "tracking_step", "smooth_step")
+_STEPS = ("odometry_step", "slip_step", "inertial_step", "brake_step", "drive_step", "tracking_step", "smooth_step")
 LIBRARY = Library(
     "swerve robot",
-    packages=("bases/swerve", "control", "kernel"),
+    packages=("bases/swerve", "kernel", "constants.py"),
     modules=tuple(f"wbmpc.bases.swerve.{m}" for m in _STEPS),
-    uses=(CONTROL,),
 )
 compiled, step = LIBRARY.compiled, LIBRARY.step

@@ -15,8 +15,8 @@ from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.prediction import SwervePrediction
 from wbmpc.bases.swerve.tracking import SwerveTracking, TrackingSettings
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.checks import positive
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation

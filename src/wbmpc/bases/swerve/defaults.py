@@ -121,7 +121,6 @@ def swerve_mpc(
     settings: MpcSettings,
     cost: SwerveCost,
     guess: Guess | None = None,
-    side_softness: float = ROLLING_SOFTNESS,
     *,
     allow_side_slip: bool = False,
     obstacles: Obstacles | None = None,
@@ -131,7 +130,7 @@ def swerve_mpc(
 ) -> MPC:
     """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
     the frame that follows a path, see :func:`wbmpc.path_problem`; ``self_clearance``: whether it keeps apart the pairs that the robot file lists."""
-    ocp = swerve_problem(robot, settings, cost, side_softness, accelerations=True, allow_side_slip=allow_side_slip)
+    ocp = swerve_problem(robot, settings, cost, ROLLING_SOFTNESS, accelerations=True, allow_side_slip=allow_side_slip)
     ocp = keep_upright(keep_apart(ocp, robot) if self_clearance else ocp, robot, stability)
     ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)
     return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -38,6 +39,7 @@ class ModuleDescription(Section):
 class SwerveBaseDescription(BaseDescription):
     """A base on steered and driven wheels. ``wheel_radius`` [m]. ``orientation``: SE(2) state or a quaternion."""
 
+    captions: ClassVar[Mapping[str, str]] = {"leg": "legs", "steer": "steering", "wheel": "wheels"}
     joint_key: ClassVar[str] = "modules"
     uses_inertia: ClassVar[bool] = False
     limit_keys: ClassVar[tuple[str, ...]] = ("base_linear", "base_angular")

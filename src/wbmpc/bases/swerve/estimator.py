@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
+from wbmpc.bases.swerve.drives import Smoothing
+from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.bases.swerve.odometry_filter import OdometryNoise
 from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
 from wbmpc.bases.swerve.smooth_step import smooth_pose
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.checks import not_negative
-from wbmpc.control.drives import Smoothing
-from wbmpc.estimation.fused_odometry import FusedOdometry
-from wbmpc.estimation.odometry_filter import OdometryNoise
-from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import WheelOdometry
 from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 

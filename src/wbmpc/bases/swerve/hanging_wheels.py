@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.slipping_wheels import FEWEST, SHARE
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.bases.swerve.wheel_record import WheelRecord
-from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]

@@ -6,10 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.swerve.compilation import step
+from wbmpc.constants import GRAVITY
 from wbmpc.kernel.ir import Floats
 
-#: Acceleration of gravity [m/s²].
-GRAVITY = 9.81
 #: Time [s] over which tilts are forgotten; over which the rates' zeros are learned by a base at rest, and by one that moves; speed
 #: [m/s] of a base at rest.
 TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005

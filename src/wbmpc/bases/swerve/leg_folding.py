@@ -24,21 +24,30 @@ from wbmpc.ocp import Mode, Reference
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-#: Interval of what is checked ahead [s]; how long ahead beyond the horizon [s]; how often [s].
-STEP, BEYOND, REFRESH = 0.2, 4.0, 0.2
-#: Shares of the way of a leg, and how far [m] the base may move aside, from straight on.
+#: Interval [s] of the places of the reference that are checked.
+CHECK_INTERVAL = 0.2
+#: Time [s] beyond the horizon up to which places are checked: legs begin to fold before the horizon reaches what is narrow.
+BEYOND_HORIZON = 4.0
+#: Interval [s] at which the check is repeated: obstacles may have been seen meanwhile.
+REFRESH_PERIOD = 0.2
+#: Shares of the way of a leg that are tried, from where it is asked to be to where it is narrowest.
 SHARES = np.linspace(0.0, 1.0, 13)
+#: Ways [m] by which the base moves aside that are tried, to the left and to the right: the shortest that is clear is taken.
 ASIDE = np.array([0.0, 0.03, -0.03, 0.06, -0.06, 0.09, -0.09, 0.12, -0.12])
-#: What is asked for beyond the margin [m], and how far [m] is looked.
-GAP, REACH = 0.02, 0.3
+#: What is asked for beyond the margin [m].
+GAP = 0.02
+#: Distances [m] beyond this count as this.
+REACH = 0.3
 #: Legs fold beyond the body's axis by so much [rad]: wheels come under the body.
 INWARD = 0.12
-#: Legs turn with this share of their speed limit, the base moves aside so fast [m/s].
-LEG_SHARE, ASIDE_SPEED = 0.6, 0.05
+#: Legs turn with this share of their speed limit.
+LEG_SPEED_SHARE = 0.6
+#: The base moves aside so fast [m/s].
+ASIDE_SPEED = 0.05
 #: Legs are folded so long [s] before they have to be: one that lags behind comes in front of what it is to pass, and stays there.
-EARLY = 1.0
-#: Brakes are open from so long [s] before their leg turns until so long after.
-BEFORE, AFTER = 0.3, 0.6
+FOLDED_AHEAD = 1.0
+#: Brakes open so long [s] before their leg turns, and close so long after.
+OPEN_BEFORE, OPEN_AFTER = 0.3, 0.6
 
 
 class LegFolding:
@@ -63,7 +72,7 @@ class LegFolding:
         self.free = Mode("unfolding", {"brake": (1.0,) * geometry.modules})
         #: legs at one end of the body fold alike
         self._pair = geometry.hinge[:, 0] > 0.0
-        self._rate = LEG_SHARE * float(limits.input_upper[robot.input["leg"]].min())
+        self._rate = LEG_SPEED_SHARE * float(limits.input_upper[robot.input["leg"]].min())
         self._looked = -np.inf
         self._turned = np.full(geometry.modules, -np.inf)  # when each leg's reference turned last
         self._ahead: tuple[Array, Array, Array] | None = None  # times (k), shares (k, n), aside (k)
@@ -101,12 +110,12 @@ class LegFolding:
             self._asked = reference
         assert self._asked is not None
         world = self._mpc.obstacles
-        if t >= self._looked + REFRESH - 1e-9 and world is not None:
+        if t >= self._looked + REFRESH_PERIOD - 1e-9 and world is not None:
             self._looked = t
             there = world.snapshot(t)
             still = tuple(o for o in there.obstacles if not o.velocity.any())  # who walks by is evaded or waited for
             self._plan_folding(t, Snapshot(still, there.frames), self._asked)
-        times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + STEP)
+        times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + CHECK_INTERVAL)
         values = np.array([self._asked.at(float(at)) for at in times])
         shares, aside = self._planned(times)
         self._turned = np.where(np.abs(shares[1] - shares[0]) > 1e-3, t, self._turned)
@@ -125,10 +134,13 @@ class LegFolding:
 
     # ------------------------------------------------------------------ what is ahead
     def _plan_folding(self, t: float, snapshot: Snapshot, asked: Reference) -> None:
-        times = _times(t, self._mpc.ocp.horizon + BEYOND)
+        times = _times(t, self._mpc.ocp.horizon + BEYOND_HORIZON)
         states = np.array([asked.at(float(at))[: self.robot.state.size] for at in times])
         shares, aside = self.needed(snapshot, times, states)
-        ahead = [np.vstack([shares[k:], np.repeat(shares[-1:], k, axis=0)]) for k in range(round(EARLY / STEP) + 1)]
+        ahead = [
+            np.vstack([shares[k:], np.repeat(shares[-1:], k, axis=0)])
+            for k in range(round(FOLDED_AHEAD / CHECK_INTERVAL) + 1)
+        ]
         shares = np.max(ahead, axis=0)
         speeds = np.abs(self._narrow - states[:, self._leg]).max(axis=0)
         rate = self._rate / np.maximum(speeds, 1e-3)
@@ -183,16 +195,16 @@ class LegFolding:
         """Open the brake of each leg while its reference turns."""
         turns = np.zeros(shares.shape, bool)
         turns[:-1] = np.abs(np.diff(shares, axis=0)) > 1e-3
-        is_open = times[:, None] <= self._turned + AFTER + 1e-9
+        is_open = times[:, None] <= self._turned + OPEN_AFTER + 1e-9
         for k in np.flatnonzero(turns.any(axis=1)):
-            near = (times >= times[k] - BEFORE - 1e-9) & (times <= times[k] + AFTER + 1e-9)
+            near = (times >= times[k] - OPEN_BEFORE - 1e-9) & (times <= times[k] + OPEN_AFTER + 1e-9)
             is_open[near] |= turns[k]
         changes = [0, *(np.flatnonzero((is_open[1:] != is_open[:-1]).any(axis=1)) + 1)]
         self.brakes.replace([(float(times[k]), is_open[k].astype(float)) for k in changes])
 
 
 def _times(t: float, duration: float) -> Array:
-    return np.asarray(t + STEP * np.arange(round(duration / STEP) + 1), float)
+    return np.asarray(t + CHECK_INTERVAL * np.arange(round(duration / CHECK_INTERVAL) + 1), float)
 
 
 def _reachable(needed: Array, times: Array, rate: float, start: float) -> Array:

@@ -37,3 +37,7 @@ class SwervePerturbation(WheeledPerturbation):
     steer_noise: float = Field(default=0.0, ge=0, le=3.2)
     brake_delay: float = Field(default=0.10, ge=0, le=100)
     brake_fault: BrakeFaults = SoundBrakes()
+
+    def module_offsets(self) -> tuple[float, float]:
+        """Of legs and steering."""
+        return self.joint_offset, self.steer_offset

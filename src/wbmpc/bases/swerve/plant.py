@@ -141,7 +141,7 @@ class SwervePlant(WheeledPlant):
                 spec.joint(module.leg).damping = [SLIDE_DAMPING if module.slide else 1.0, 0, 0]
             effort = self.description.limits.effort
             self._servo(spec, module.wheel, WHEEL_GAIN, effort.get(module.wheel, WHEEL_TORQUE), draw.wheel_lag[i])
-            self._servo(spec, module.steer, WHEEL_GAIN, effort.get(module.steer, STEER_TORQUE), draw.steer_lag[i])
+            self._servo(spec, module.steer, WHEEL_GAIN, effort.get(module.steer, STEER_TORQUE), draw.module_lag[i])
         self.finish(spec, edit)
         let_tires_slide(spec, [f"contact_{m.wheel}" for m in self.base.modules])
 
@@ -188,9 +188,9 @@ class SwervePlant(WheeledPlant):
         return drive_speeds(self.description) | {n: speed.get(n, np.inf) for n in self._names["arm"]}
 
     def _zero_errors(self) -> dict[str, Array]:
-        draw, n = self.draw, len(self._names["leg"])
+        (leg, steer), n = self.draw.module_offset, len(self._names["leg"])
         wheel = np.zeros(len(self._names["wheel"]))
-        return {"leg": draw.leg_offset[:n], "steer": draw.steer_offset, "wheel": wheel, "arm": draw.arm_offset}
+        return {"leg": leg[:n], "steer": steer, "wheel": wheel, "arm": self.draw.arm_offset}
 
     def _groups(self, state: Mapping[str, ArrayLike] | ArrayLike | None) -> dict[str, Array]:
         """Start by group, (x, y, yaw) for the base."""
@@ -311,7 +311,6 @@ class SwervePlant(WheeledPlant):
             joints=self.world.joints(),
             joint_speeds=self.world.joint_speeds(),
             slip=np.hypot(along[:, 0], along[:, 1]),
-            slip_along=along,
             wheel_force=np.abs(d.sensordata[self._forces]),
         )
 

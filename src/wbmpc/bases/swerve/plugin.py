@@ -41,6 +41,7 @@ class SwerveBaseType(BaseType):
     """What generic code may ask of swerve bases."""
 
     Description = SwerveBaseDescription
+    calibration_channels = ("wheel", "steer", "leg")
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Nothing of the whole file: :meth:`model` checks each module."""
@@ -97,7 +98,7 @@ class SwerveBaseType(BaseType):
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
         """Steer zeros and radii."""
-        from wbmpc.estimation.wheel_calibration import WheelCalibration
+        from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 
         calibrator = self.calibrator(robot)
         return vars(calibrator.fit(channels, WheelCalibration.unknown(calibrator.geometry), source).calibration)

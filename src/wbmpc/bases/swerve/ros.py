@@ -40,6 +40,9 @@ BACKLOG = 1000
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
 SWING, STRAIGHT = 0.3, 0.03
 
+#: Angles of legs that do not move.
+_NO_LEGS = np.zeros(0)
+
 
 @dataclass(frozen=True)
 class BusMeasurement(SwerveMeasurement):
@@ -263,12 +266,12 @@ class SwerveRosAdapter(BaseAdapter):
         self, now: float, at: float, sample: JointSample, imu: Inertial | None, origin: float = 0.0
     ) -> BusMeasurement:
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
-        self._has_imu = imu is not None
+        self._has_imu, groups = imu is not None, {"leg": _NO_LEGS, **sample.groups}
         if imu is None:
-            return BusMeasurement(at, **sample.groups, origin=origin, series=sample.series)  # type: ignore[arg-type]
+            return BusMeasurement(at, **groups, origin=origin, series=sample.series)  # type: ignore[arg-type]
         turning = None if imu.turning is None else float(imu.turning[2])
         return BusMeasurement(
-            at, **sample.groups, gyro=imu.gyro, accel=imu.accel, turning=turning, origin=origin,  # type: ignore[arg-type]
+            at, **groups, gyro=imu.gyro, accel=imu.accel, turning=turning, origin=origin,  # type: ignore[arg-type]
             series=sample.series,
         )  # fmt: skip
 

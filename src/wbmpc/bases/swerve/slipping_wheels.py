@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.slip_step import detect_contradiction
-from wbmpc.estimation.wheel_odometry import WheelOdometry, outlier_wheel
+from wbmpc.bases.swerve.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 

@@ -1,11 +1,11 @@
-"""Base position and arm at the moment of a message, compiled: see :class:`wbmpc.control.drives.Smoothing`."""
+"""Base position and arm at the moment of a message, compiled: see :class:`wbmpc.bases.swerve.drives.Smoothing`."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from wbmpc.bases.swerve.compilation import step
-from wbmpc.control.drive_step import smooth
+from wbmpc.bases.swerve.drive_step import smooth
 from wbmpc.kernel.ir import Floats
 
 

@@ -36,9 +36,14 @@ from wbmpc.solver import Trajectory
 if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
 
-#: Speeds [m/s] below which the guess is armed, above which it is armed again, and what counts as a previewed motion.
-SLOW, FAST, MOVING = 0.02, 0.04, 0.005
-#: Lever [m] that turns a yaw rate into a speed.
+#: A plan slower than this [m/s] stands: the guess from rest may be used.
+STANDS = 0.02
+#: A plan faster than this [m/s] is under way: the guess from rest may be used at its next stand. Twice as fast as one that stands, so that a
+#: plan that creeps gets one guess.
+UNDER_WAY = 0.04
+#: A preview faster than this [m/s] asks for a motion.
+MOVING = 0.005
+#: Lever [m] that turns a yaw rate into a speed: about that of the wheels of a base with its legs spread.
 LEVER = 0.8
 
 #: (times (n,) [s], pose (3)) -> body twists (n, 3) that the references ask for.
@@ -50,16 +55,27 @@ def speed(twist: np.ndarray) -> np.ndarray:
     return np.asarray(np.hypot(twist[..., 0], twist[..., 1]) + LEVER * np.abs(twist[..., 2]))
 
 
-#: A wheel is lost that rolls at least so fast [m/s] and points so far [rad] from its direction for so long [s], longer than a turn
-#: takes; how often [s] the plan is checked, and how long it is left alone after it was rewritten.
-ROLLS, OFF, LOST, POLL_PERIOD, WRITTEN = 0.05, 0.3, 0.9, 0.1, 0.6
+#: A wheel that rolls slower than this [m/s] may point anywhere.
+ROLLS = 0.05
+#: A wheel that points farther than this [rad] from its direction does not follow the preview.
+MISALIGNED = 0.3
+#: So long [s] it may be misaligned: longer than a turn takes.
+MISALIGNED_TIME = 0.9
+#: Interval [s] at which a plan is checked.
+POLL_PERIOD = 0.1
+#: A plan that was rewritten is not checked for so long [s]: the solver first adapts it.
+REWRITE_PAUSE = 0.6
 #: Cost [m] of a stop besides the way that it loses: no stop without a reason.
 STOP = 1e-3
 #: Of two equal ways the one that stops later is taken (cost [m] per node): more is known by then.
-LATER = 1e-7
-#: Nodes of the programme, dense enough that between two of them a direction turns by less than a quarter turn (coarser ones
-#: mistake which way round it went); largest turn [rad] of a rolling wheel from one node of the horizon to the next.
-NODES, BEND = 100, 0.8
+EARLY_STOP = 1e-7
+#: Nodes of the programme, dense enough that between two of them a direction turns by less than a quarter turn: coarser ones mistake which
+#: way round it went.
+NODES = 100
+#: A wheel that rolls turns on without a stop by up to this [rad] from one node of the horizon to the next.
+ROLLING_TURN = 0.8
+#: A base at rest moves off once its wheels are within this [rad] of their directions.
+ALIGNED = 0.03
 
 
 @dataclass(frozen=True)
@@ -153,7 +169,7 @@ def _cheapest(costs: np.ndarray, reach: list[int], kept: int) -> list[int]:
     starts, queue, best = [0.0] * count, deque[tuple[float, int]](), 0.0
     for k in range(count):
         start = best + cost[k]
-        value = start - LATER * k
+        value = start - EARLY_STOP * k
         while queue and queue[-1][0] > value:
             queue.pop()
         queue.append((value, k))
@@ -210,9 +226,9 @@ class SteeringGuess:
     def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
         base = self.robot.input["base"]
         current = float(speed(trajectory.u[0, base]))
-        if current > FAST:
+        if current > UNDER_WAY:
             self._armed, self._done = False, False
-        elif current < SLOW:
+        elif current < STANDS:
             self._armed = True
         if not self._armed or self._done:
             return self._continue_plan(trajectory, t, x0)
@@ -221,12 +237,12 @@ class SteeringGuess:
         soon = speed(self.preview(t + np.array([0.0, 0.5, 1.0]), x0[self.robot.state["base"]]))
         if soon.max() < MOVING or not self._stuck(trajectory, twists):
             return None
-        self._done, self._next_check = True, t + WRITTEN
+        self._done, self._next_check = True, t + REWRITE_PAUSE
         plan = self.plan(t, float(grid[-1]), x0, trajectory)
         found = self._written(trajectory, twists, x0, plan)
         if self._is_clear(t, found):
             return found
-        if speed(trajectory.u[:, base]).max() > FAST:  # the plan has its own way
+        if speed(trajectory.u[:, base]).max() > UNDER_WAY:  # the plan has its own way
             return None
         return self._written(trajectory, twists, x0, plan, rests=True)
 
@@ -254,7 +270,7 @@ class SteeringGuess:
         found = self._written(trajectory, twists, x0, plan, max(min(stop, lost) - 1, 0))
         if not self._is_clear(t, found):
             return None
-        self._next_check = t + WRITTEN
+        self._next_check = t + REWRITE_PAUSE
         return found
 
     def _lost(self, trajectory: Trajectory, twists: np.ndarray, x0: np.ndarray) -> int | None:
@@ -262,12 +278,12 @@ class SteeringGuess:
         grid, steer = trajectory.grid, x0[self.robot.state["steer"]]
         leg, swing = self._legs(trajectory, grid)
         ways, speeds = wheel_directions(swerve_base(self.robot).geometry, leg, steer, twists, swing)
-        off = np.abs(_wrapped(ways - trajectory.x[:, self.robot.state["steer"]])) > OFF
+        off = np.abs(_wrapped(ways - trajectory.x[:, self.robot.state["steer"]])) > MISALIGNED
         off &= speeds > ROLLS
         since = np.full(off.shape[1], np.nan)
         for k, now in enumerate(off):
             since = np.where(now, np.where(np.isnan(since), grid[k], since), np.nan)
-            if np.any(grid[k] - since >= LOST):
+            if np.any(grid[k] - since >= MISALIGNED_TIME):
                 return int(np.searchsorted(grid, np.nanmin(since)))
         return None
 
@@ -312,7 +328,7 @@ class SteeringGuess:
             target = plan.nearest(grid[later], target)
             rate = np.clip((target - steer) / h, -self.rate, self.rate)
             # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
-            rolling = bool(np.abs(target - steer).max() <= (BEND if rolling else 0.03))
+            rolling = bool(np.abs(target - steer).max() <= (ROLLING_TURN if rolling else ALIGNED))
             moves = rolling and not rests
             swing = swings[k] if moves else np.zeros(leg.size)
             if not moves:

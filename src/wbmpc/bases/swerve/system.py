@@ -12,22 +12,16 @@ from wbmpc.bases.swerve.goal_guess import GoalGuess
 from wbmpc.bases.swerve.path_guess import PathGuess
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.default_problem import stay_at_home
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.settings import MpcSettings, StabilitySettings
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE, MpcSettings, StabilitySettings
 from wbmpc.simulation.lockstep import Timing
 
-#: Rate of the controller [Hz], drive lag that it assumes [s].
-CONTROL_RATE, DRIVE_LAG = 400.0, 0.020
 #: Legs pull harder than in tracking: their configuration is asked for, not left over.
 LEG_WEIGHT = 20.0
-
-
-#: Time that a solve is modeled to take [s].
-COMPUTATION_DELAY = 0.010
 
 
 def make_mpc(
@@ -52,7 +46,7 @@ def make_system(robot: RobotModel, plant: SwervePlant, mpc: MPC, calibration: Ca
         robot,
         plant.truth().pose,
         timing.period,
-        tracking=TrackingSettings(lag=DRIVE_LAG),
+        tracking=TrackingSettings(lag=ACTUATOR_TIME_CONSTANT),
         estimation=EstimatorSettings(calibration=wheels),
     )
     return System(plant, controller, mpc, timing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 from pydantic import Field
@@ -25,6 +26,7 @@ class WheelDescription(Section):
 class WheelsBaseDescription(PlanarBaseDescription):
     """``wheels``: the wheels; ``casters`` (x, y) [m] in the axes of the body: what else carries the robot in the simulator."""
 
+    captions: ClassVar[Mapping[str, str]] = {"steer": "steering"}
     joint_key: ClassVar[str] = "wheels"
     describes_offsets: ClassVar[bool] = True
 

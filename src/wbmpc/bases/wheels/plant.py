@@ -41,7 +41,7 @@ class WheelsPlant(PlanarPlant):
         for i, name in enumerate(base.joint_groups().get("steer", [])):
             spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.dry_friction
             effort = self.description.limits.effort.get(name, np.inf)
-            lag = self.draw.steer_lag[min(i, len(self.draw.steer_lag) - 1)]
+            lag = self.draw.module_lag[min(i, len(self.draw.module_lag) - 1)]
             add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, lag, WHEEL_GAIN)
         if base.casters:
             add_casters(self, spec, weight, np.array(base.casters))

@@ -12,6 +12,7 @@ from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
+from wbmpc.constants import GRAVITY
 from wbmpc.experiment import Loop
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -130,7 +131,7 @@ def make_controller(
     target = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
     push = Push(
         target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
-        back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * 9.81,
+        back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * GRAVITY,
         fastest=None if isinstance(approach, FreeApproach) else approach.fastest, lead=settings.scheme.lead,
         friction=settings.scheme.friction, learns=isinstance(settings.scheme.cone, EstimatedCone),
     )  # fmt: skip

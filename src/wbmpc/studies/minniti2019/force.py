@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.ball.inertial_gate_step import REPEATS, STANDS
 from wbmpc.checks import finite, numbers, positive_time
 from wbmpc.errors import InputError
-from wbmpc.estimation.inertial_gate_step import REPEATS, STANDS
 
 Array = NDArray[np.float64]
 #: Sensor and motion contradict each other by more than this [N], for so long [s], and the sensor is wrong. (What the motion says

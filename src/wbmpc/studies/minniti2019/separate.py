@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc.bases.ball.controller import GATE, BallController
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.checks import not_negative, numbers, positive
-from wbmpc.estimation.disturbance import DisturbanceObserver
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC

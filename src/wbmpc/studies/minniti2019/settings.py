@@ -10,7 +10,7 @@ from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost
 from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.settings import LEARNED, STEPS_AND_PUSHES, mpc_settings
 from wbmpc.configuration import POSITIVE, OneOf, Rules
-from wbmpc.settings import MpcSettings, Robot, Settings
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings, Robot, Settings
 from wbmpc.simulation.settings import ExperimentSettings
 from wbmpc.studies.minniti2019.controller_settings import (
     PLANNERS,
@@ -51,7 +51,7 @@ class RezeroSettings(ExperimentSettings):
     estimator: OneOf[SensorFilter | NoisyTruth] = SensorFilter()
     estimate_disturbance: bool = True
     payload: float = Field(0.0, ge=0, le=5.0)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+    actuator_time_constant: float = Field(ACTUATOR_TIME_CONSTANT, ge=0, le=0.5)
 
     only_with: ClassVar[Rules] = {"cost.speed_slack": {"mpc.limits": "hard"}}
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from wbmpc.bases.swerve.calibration import calibrate
 from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.errors import InputError
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series

@@ -14,6 +14,7 @@ from wbmpc.configuration import Rules
 from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.settings import ExperimentSettings, LidarSettings
 from wbmpc.studies.pankert2022.reference_drive import calibrated, track_arm
@@ -34,7 +35,7 @@ class DrivingSettings(ExperimentSettings):
     lidar: LidarSettings = LidarSettings()
     tracked_poses: int = Field(0, ge=0, le=1000)
     settle_time: float = Field(20.0, ge=0, le=120)
-    actuator_time_constant: float = Field(0.020, ge=0, le=0.5)
+    actuator_time_constant: float = Field(ACTUATOR_TIME_CONSTANT, ge=0, le=0.5)
 
     only_with: ClassVar[Rules] = {"lidar": {"localization": "lidar", "calibration": "drive"}}
 

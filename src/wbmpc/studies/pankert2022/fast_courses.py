@@ -16,6 +16,7 @@ from wbmpc.obstacles.shapes import Cylinder
 from wbmpc.ocp import Path, Reference
 from wbmpc.result import Metric
 from wbmpc.settings import Settings
+from wbmpc.tasks.following import states_along
 from wbmpc.tasks.obstacles import Extent
 from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.paths import nearest_distance
@@ -127,19 +128,12 @@ class BasePath(Settings):
 
     def order(self, t: float, robot: RobotModel, mpc: MPC) -> None:
         """Let ``mpc`` follow the path from ``t`` [s] on: no plan sees it before."""
-        poses, base = self.curve(), robot.state["base"].start
+        poses = self.curve()
         height = robot.pose(robot.home, mpc.path.frame)[0][2]
         points = np.column_stack([poses[:, :2], np.full(POINTS, height)])
         path = Path(points, np.array([lie.quaternion_about(UP, float(yaw)) for yaw in poses[:, 2]]))
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-
-        def states(s: Array) -> Array:
-            values = np.tile(robot.home, (len(s), 1))
-            for k in range(3):
-                values[:, base + k] = np.interp(s, arc, poses[:, k])
-            return values
-
-        mpc.path.follow(path, self.speed, self.acceleration, along={"state": states})
+        mpc.path.follow(path, self.speed, self.acceleration, along={"state": states_along(robot, arc, poses)})
 
     def metrics(self, log: Log, ordered: float, robot: RobotModel) -> dict[str, Metric]:
         """Of the base from ``ordered`` [s] on."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.bases.swerve.brake_control import FLOATING, PASS, BrakeControl, described, floating
+from wbmpc.bases.swerve.brake_control import FLOATING, FLOATING_TIME, BrakeControl, described, floating
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
@@ -129,17 +129,17 @@ class Mission:
         if not self.brakes:
             return
         ends = [p.start + float(np.abs(p.angles).max() + np.pi) / p.rate for p in self.reconfigurations]
-        t = np.arange(self.brakes[0][0], max([*ends, self.brakes[-1][0]]) + 2.0 * PASS, 0.05)
+        t = np.arange(self.brakes[0][0], max([*ends, self.brakes[-1][0]]) + 2.0 * FLOATING_TIME, 0.05)
         times, states = (np.array(c) for c in zip(*self.brakes, strict=True))
         is_open = states[np.searchsorted(times, t + 1e-9) - 1] > 0.5
         since = np.inf
         for now, flag, leg in zip(t, is_open, self.leg(t)[0], strict=True):
             held, motion = floating(geometry, leg, np.full(leg.size, float(flag)))
             since = min(since, now) if held < FLOATING else np.inf
-            if now - since > PASS:
+            if now - since > FLOATING_TIME:
                 raise InputError(
                     f"mission: from {since:.2f} s on the brakes are open while the legs hold nothing against "
-                    f"{described(motion)}, for more than {PASS:g} s; valid: closed brakes, or legs that move on"
+                    f"{described(motion)}, for more than {FLOATING_TIME:g} s; valid: closed brakes, or legs that move on"
                 )
 
     def apply(self, brakes: BrakeControl) -> None:

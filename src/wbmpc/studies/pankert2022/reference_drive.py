@@ -23,8 +23,8 @@ from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.perturbation import SoundBrakes, SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.errors import RunAborted
-from wbmpc.estimation.wheel_calibration import WheelCalibration
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics

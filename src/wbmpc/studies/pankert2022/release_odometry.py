@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.bases.swerve.wheel_fit import WheelFit
+from wbmpc.bases.swerve.wheel_odometry import Array, WheelOdometry
 from wbmpc.checks import positive
-from wbmpc.estimation.wheel_fit import WheelFit
-from wbmpc.estimation.wheel_odometry import Array, WheelOdometry
 from wbmpc.model.wheels import ModuleGeometry
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.configurations import corners
 from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability import StanceOf, Triangle, assess
 from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping
@@ -112,7 +113,7 @@ class Support:
         x, u = np.tile(self._x, (t.size, 1)), np.zeros((2, t.size, self.robot.input.size))
         x[:, part] = self.case.arm(t, part.stop - part.start)
         u[:, :, self.robot.input["arm"].start] = self.case.rates(t)
-        found = [self._stance_of(at, gravity=-9.81 * up, u=v, u_rate=a) for at, v, a in zip(x, *u, strict=True)]
+        found = [self._stance_of(at, gravity=-GRAVITY * up, u=v, u_rate=a) for at, v, a in zip(x, *u, strict=True)]
         feet = self.feet - self._radius * (self._along @ up[:2])[:, None] * self._along
         return feet, np.array([s.zmp for s in found]), np.array([-s.force[2] for s in found])
 

@@ -15,6 +15,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveMeasurement
+from wbmpc.constants import GRAVITY
 from wbmpc.errors import RunAborted
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -139,7 +140,7 @@ class Wipe:
     def update(self, t: float, x: Array, force: Array) -> None:
         """With the estimated state x (nx) and the sensor's force (3) [N] at t [s]."""
         place, quaternion = self.robot.pose(x)
-        pressed = lie.quaternion_to_rotation(quaternion) @ force + [0.0, 0.0, TIP_MASS * 9.81]
+        pressed = lie.quaternion_to_rotation(quaternion) @ force + [0.0, 0.0, TIP_MASS * GRAVITY]
         normal = np.array([-self.line.slope, 1.0, 0.0]) / np.hypot(self.line.slope, 1.0)
         push = float(pressed @ normal)
         if push > TOO_MUCH * self.order.force:

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.benchmark.problems import SampleProblem
+from wbmpc.constants import GRAVITY
 from wbmpc.model.ode import Ode
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, residuals, sets
 
@@ -29,16 +30,16 @@ def double_integrator(
     return SampleProblem("double integrator", ocp, np.array([2.0, 0.0]), np.array([2.0, 0.0]), np.zeros(1))
 
 
-#: Cart [kg], pole's point mass [kg], length [m], gravity [m/s²].
-_CART, _POLE, _LENGTH, _GRAVITY = 1.0, 0.3, 0.5, 9.81
+#: Cart [kg], pole's point mass [kg], length [m].
+_CART, _POLE, _LENGTH = 1.0, 0.3, 0.5
 
 
 def _cartpole(x: ca.SX, u: ca.SX) -> ca.SX:
     """State: cart, angle (0 hanging), their rates. Source: Tedrake, "Underactuated Robotics", cart-pole."""
     s, c = ca.sin(x[1]), ca.cos(x[1])
     inertia = _CART + _POLE * s * s
-    cart = (u[0] + _POLE * s * (_LENGTH * x[3] ** 2 + _GRAVITY * c)) / inertia
-    pole = -u[0] * c - _POLE * _LENGTH * x[3] ** 2 * c * s - (_CART + _POLE) * _GRAVITY * s
+    cart = (u[0] + _POLE * s * (_LENGTH * x[3] ** 2 + GRAVITY * c)) / inertia
+    pole = -u[0] * c - _POLE * _LENGTH * x[3] ** 2 * c * s - (_CART + _POLE) * GRAVITY * s
     return ca.vertcat(x[2], x[3], cart, pole / (_LENGTH * inertia))
 
 

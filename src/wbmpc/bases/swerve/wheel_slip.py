@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.estimation.compilation import compiled
+from wbmpc.bases.swerve.compilation import compiled
 from wbmpc.kernel.ir import Floats
 
 Array = NDArray[np.float64]

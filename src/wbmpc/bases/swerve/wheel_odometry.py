@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.swerve.wheel_fit import WheelFit
 from wbmpc.checks import each, numbers, positive
-from wbmpc.estimation.wheel_fit import WheelFit
 from wbmpc.model.wheels import ModuleGeometry
 
 Array = NDArray[np.float64]
@@ -68,11 +68,6 @@ class Increment:
         off = off - (off @ twists) @ twists.T
         _, values, rows = np.linalg.svd(off, full_matrices=False)
         return np.asarray(rows[values > WEAK * np.hypot(*motions.T).max()])
-
-    def by_radius(self) -> Array:
-        """Derivative (3, n) of the twist by the wheels' radii, relative."""
-        along = self.fit[:, :, 0] * np.cos(self.heading) + self.fit[:, :, 1] * np.sin(self.heading)
-        return np.asarray(along * self.rolled)
 
 
 def outlier_wheel(residual: Array, axes: Array) -> tuple[int, float]:

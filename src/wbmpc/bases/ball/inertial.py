@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.bases.ball.inertial_gate_step import Gate
 from wbmpc.bases.base import InertialDescription
-from wbmpc.estimation.inertial_gate_step import Gate
 
 Array = NDArray[np.float64]
 #: Share of its range from which on a reading is no measurement.
@@ -14,7 +14,7 @@ FULL = 0.999
 
 
 def gate_arrays(unit: InertialDescription, rest: Array) -> dict[str, Array]:
-    """The arrays of :func:`~wbmpc.estimation.inertial_gate_step.judge` before the first message of a ``unit``, whose accelerometer reads
+    """The arrays of :func:`~wbmpc.bases.ball.inertial_gate_step.judge` before the first message of a ``unit``, whose accelerometer reads
     ``rest`` (3) [m/s²] then."""
     gate = np.zeros(Gate.FULL + 2)
     gate[Gate.FULL :] = FULL * unit.rate, FULL * unit.acceleration

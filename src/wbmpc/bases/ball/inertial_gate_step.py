@@ -1,4 +1,4 @@
-"""One message of an inertial unit, compiled: whether it can be true. The arrays are those of :func:`wbmpc.estimation.inertial.gate_arrays`.
+"""One message of an inertial unit, compiled: whether it can be true. The arrays are those of :func:`wbmpc.bases.ball.inertial.gate_arrays`.
 
 ``message`` (6): gyro [rad/s], accelerometer [m/s²]; ``given``: the one before; ``last``: the last one that counted.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from wbmpc.estimation.compilation import step
+from wbmpc.bases.ball.compilation import step
 from wbmpc.kernel.ir import Floats
 
 #: A gyro or an accelerometer whose three numbers were the same to the bit so often in a row, and for so long [s], has stopped:

@@ -1,4 +1,4 @@
-"""Dry friction of drives that follow speeds, compiled: see :class:`wbmpc.control.drives.DryFriction`."""
+"""Dry friction of drives that follow speeds, compiled: see :class:`wbmpc.bases.swerve.drives.DryFriction`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wbmpc.control.compilation import step
+from wbmpc.bases.swerve.compilation import step
 from wbmpc.kernel.ir import Floats
 
 #: Time [s] of turning over which friction is learned; the most that is taken for it, speeds below which a drive may stick and

@@ -1,6 +1,6 @@
-"""Mathematics of :class:`wbmpc.estimation.fused_odometry.FusedOdometry`: its state, and what legs and global poses say.
+"""Mathematics of :class:`wbmpc.bases.swerve.fused_odometry.FusedOdometry`: its state, and what legs and global poses say.
 
-One interval on: :mod:`wbmpc.estimation.odometry_step`.
+One interval on: :mod:`wbmpc.bases.swerve.odometry_step`.
 
 A Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel radii). Equations and sources: docs/explanation.
 """
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.bases.swerve.odometry_step import WHEELS
 from wbmpc.checks import finite, is_certain
 from wbmpc.errors import InputError
-from wbmpc.estimation.odometry_step import WHEELS
 
 Array = NDArray[np.float64]
 

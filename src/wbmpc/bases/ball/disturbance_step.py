@@ -1,4 +1,4 @@
-"""One update of a disturbance observer, compiled: see :class:`wbmpc.estimation.disturbance.DisturbanceObserver`."""
+"""One update of a disturbance observer, compiled: see :class:`wbmpc.bases.ball.disturbance.DisturbanceObserver`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wbmpc.estimation.compilation import compiled, step
+from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
 
 #: The share of the gate from which on a steady innovation counts: no push needs to be distinguished from it, only noise.

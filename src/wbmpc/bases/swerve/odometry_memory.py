@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State, with_open_legs
-from wbmpc.estimation.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
-from wbmpc.estimation.wheel_fit import WheelFit
-from wbmpc.estimation.wheel_slip import WINDOWS, slip_memory
+from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State, with_open_legs
+from wbmpc.bases.swerve.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
+from wbmpc.bases.swerve.wheel_fit import WheelFit
+from wbmpc.bases.swerve.wheel_slip import WINDOWS, slip_memory
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 
@@ -26,7 +26,7 @@ class Moment(NamedTuple):
 
 class OdometryMemory:
     """``record``: time, ``mean`` (size) and ``p`` (size, size) of the state, and the last interval: ``interval``
-    (:class:`~wbmpc.estimation.odometry_step.Interval`), ``twist`` (3), ``by_wheels`` (3 · 2n), ``correction`` (2n), ``covariance``
+    (:class:`~wbmpc.bases.swerve.odometry_step.Interval`), ``twist`` (3), ``by_wheels`` (3 · 2n), ``correction`` (2n), ``covariance``
     (3, 3), all of them views of it. ``arrays``: everything by its name in the compiled functions.
 
     ``measure(h, turn, has_gyro)`` finds the interval from the positions ``before`` and ``now``, ``advance()`` moves the state

@@ -7,13 +7,14 @@ from collections import deque
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.swerve import odometry_filter
+from wbmpc.bases.swerve.odometry_filter import State
+from wbmpc.bases.swerve.odometry_memory import Moment, OdometryMemory, state_of
+from wbmpc.bases.swerve.odometry_step import Interval
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
-from wbmpc.estimation import odometry_filter
-from wbmpc.estimation.odometry_filter import State
-from wbmpc.estimation.odometry_memory import Moment, OdometryMemory, state_of
-from wbmpc.estimation.odometry_step import Interval
+from wbmpc.types import POSE_AHEAD
 
 Array = NDArray[np.float64]
 
@@ -21,8 +22,6 @@ Array = NDArray[np.float64]
 GATE = 21.1
 #: So many rejections in a row mean that the estimate is wrong and not the source: its next pose is taken as it is.
 PATIENCE = 10
-#: A pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
-AHEAD = 0.1
 
 
 class LatePoses:
@@ -60,7 +59,7 @@ class LatePoses:
         """Take in a global pose (x, y, yaw) that was true at time ``t`` [s], with its covariance (3, 3).
 
         The filter goes back to that time, corrects, and comes forward again. False when the pose is older than the
-        past, of a future that no message has come from (:data:`AHEAD`), or does not fit (:data:`GATE`, :data:`PATIENCE`).
+        past, of a future that no message has come from (:data:`~wbmpc.types.POSE_AHEAD`), or does not fit (:data:`GATE`, :data:`PATIENCE`).
         Raises :class:`InputError` for what is not finite, for a covariance that is none, and where pose and filter are both
         certain: which one is right cannot be decided. Nothing is lost then.
         """
@@ -69,7 +68,7 @@ class LatePoses:
             raise InputError(f"global pose: its time must be finite, got {t}")
         memory, back, last = self._memory, 0, float(self._memory.record[0])
         oldest = self.past[0].record[0] if self.past else last
-        if t < oldest or -np.inf < last < t - AHEAD:
+        if t < oldest or -np.inf < last < t - POSE_AHEAD:
             return False
         state, rates = memory.state, np.zeros(3)
         while state.t > t:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from wbmpc.checks import is_covariance, not_negative, numbers
+from wbmpc.checks import is_covariance, not_negative, numbers, real_number
 from wbmpc.errors import InputError
-from wbmpc.estimation.calibration_file import module_keys, read_calibration, read_correlation, read_rows
+from wbmpc.estimation.calibration_file import ZERO, ZERO_RANGE, Range, read_calibration, read_rows
 from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.output_file import write_text
 
@@ -21,6 +22,22 @@ Array = NDArray[np.float64]
 #: Standard deviations of an uncalibrated base: steering zero (with the leg's, which turns the wheel as well)
 #: [rad], radius of one wheel and of all of them, relative.
 ZERO_STD, RADIUS_STD, COMMON_RADIUS_STD = 2e-3, 1e-3, 2e-3
+
+
+#: How far radii are made (relative) beside what the robot's file says, at most.
+RADIUS_RANGE = 0.3
+
+
+def module_keys(wheel_radius: float) -> dict[str, Range]:
+    """Of a steered wheel whose radius is ``wheel_radius`` [m] in the robot's file."""
+    least, largest = (1.0 - RADIUS_RANGE) * wheel_radius, (1.0 + RADIUS_RANGE) * wheel_radius
+    return {
+        "steer_offset": ZERO,
+        "leg_offset": ZERO,
+        "wheel_radius": Range(least, largest, "m", wheel_radius, f"the robot's file has {wheel_radius:.4g} m"),
+        "steer_offset_std": Range(0.0, ZERO_RANGE, "rad"),
+        "wheel_radius_std": Range(0.0, RADIUS_RANGE, "of the radius"),
+    }
 
 
 @dataclass(frozen=True)
@@ -144,3 +161,24 @@ class WheelCalibration:
         ):  # fmt: skip
             for name, value in zip(modules, values, strict=True):
                 valid[key].check(f"{who}: '{key}' of {name}", float(value))
+
+
+def read_correlation(path: Path | str, matrix: Any, order: list[str], modules: list[str]) -> Array:
+    """What a file gives (2n, 2n) with its modules in their ``order``, for ``modules``; independent errors for None."""
+    n = len(modules)
+    if matrix is None:
+        return np.eye(2 * n)
+    try:
+        values = np.array([[real_number("correlation", value) for value in row] for row in matrix], float)
+    except (TypeError, ValueError, InputError):  # texts and truth values are no numbers
+        values = np.zeros(0)
+    right = values.shape == (2 * n, 2 * n) and np.isfinite(values).all() and np.allclose(values, values.T, atol=1e-6)
+    # a direction without doubt (std 0) has 1 on the diagonal all the same
+    if not right or not np.allclose(np.diag(values), 1.0) or np.linalg.eigvalsh(values)[0] < -1e-6:
+        raise InputError(
+            f"{path}: key 'correlation': {2 * n} rows of {2 * n} numbers are needed, a correlation matrix of the zeros, then of "
+            "the radii; or leave it out"
+        )
+    place = [order.index(name) for name in modules]
+    index = np.array([*place, *(n + i for i in place)])
+    return values[np.ix_(index, index)]

@@ -1,6 +1,6 @@
 """The fused odometry from one message to the next, compiled: what wheels and gyro say, and the Kalman filter's step.
 
-Mathematics and state: :mod:`wbmpc.estimation.odometry_filter`. Matrices are stored by rows.
+Mathematics and state: :mod:`wbmpc.bases.swerve.odometry_filter`. Matrices are stored by rows.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wbmpc.estimation.compilation import compiled, step
-from wbmpc.estimation.wheel_fit import Wheels, fit, move
-from wbmpc.estimation.wheel_slip import slip_intensity
+from wbmpc.bases.swerve.compilation import compiled, step
+from wbmpc.bases.swerve.wheel_fit import Wheels, fit, move
+from wbmpc.bases.swerve.wheel_slip import slip_intensity
 from wbmpc.kernel.ir import Floats
 
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections.
@@ -24,7 +24,7 @@ BIAS, LATE, WHEELS = 3, 4, 5
 
 
 class Noise(IntEnum):
-    """Entries of the array ``noise``: the fields of :class:`wbmpc.estimation.odometry_filter.OdometryNoise`."""
+    """Entries of the array ``noise``: the fields of :class:`wbmpc.bases.swerve.odometry_filter.OdometryNoise`."""
 
     ALONG = 0
     ACROSS = 1
@@ -68,7 +68,7 @@ class Odometry(NamedTuple):
     by_wheels: Floats  # (3, 2n), the twist's derivative by zeros and radii
     covariance: Floats  # (3, 3), of the twist
     noise: Floats  # Noise
-    slip: Floats  # wbmpc.estimation.wheel_slip.Slip
+    slip: Floats  # wbmpc.bases.swerve.wheel_slip.Slip
     slip_mean: Floats  # (windows, n, 2)
     off: Floats  # (n, 2) [m], contradictions in the present piece of way
     rolled_off: Floats  # (n) [m], and what wheels rolled in it

@@ -9,7 +9,7 @@ on like that. A plan that does not know of such a force, or believes in one that
 learning at every sign of motion makes a robot with an unknown 1 kg in its end effector swing against its own observer.)
 
 At the start nothing has been learned, and the first disturbances are errors of the robot's own masses and its load: for ``longest`` seconds d̂ learns
-:data:`~wbmpc.estimation.disturbance_step.EAGER` times as fast, whatever the gate says.
+:data:`~wbmpc.bases.ball.disturbance_step.EAGER` times as fast, whatever the gate says.
 
 Nor is the inertia of a load that is not modeled: while the robot accelerates, its force comes and goes with the motion. An observer
 that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the end effector, a step of
@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.bases.ball.disturbance_step import Clock, observe
 from wbmpc.checks import finite, not_negative, numbers, positive_time, scales
 from wbmpc.errors import InputError
-from wbmpc.estimation.disturbance_step import Clock, observe
 from wbmpc.kernel.step import Backend, bind
 
 
@@ -35,7 +35,7 @@ from wbmpc.kernel.step import Backend, bind
 class DisturbanceObserver:
     """``step(x, u, h)``: the model's state after h seconds; ``mass(q)``: M. Units: SI. ``gate`` (1 to ``size``): largest innovations of the
     first speeds that are none of a push. ``backend``: machine code
-    (:mod:`wbmpc.estimation.disturbance_step`), or the same source as ordinary Python."""
+    (:mod:`wbmpc.bases.ball.disturbance_step`), or the same source as ordinary Python."""
 
     step: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
     mass: Callable[[np.ndarray], np.ndarray]
@@ -90,7 +90,7 @@ class DisturbanceObserver:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Its arrays by their names in :mod:`wbmpc.estimation.disturbance_step`, for other steps to read and to change."""
+        """Its arrays by their names in :mod:`wbmpc.bases.ball.disturbance_step`, for other steps to read and to change."""
         return self._arrays
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:

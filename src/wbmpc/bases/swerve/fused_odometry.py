@@ -1,7 +1,7 @@
 """Wheels, gyro and, where there is one, a source of global poses in one filter, with an honest covariance.
 
 An extended Kalman filter on (x, y, yaw; gyro bias; lateness; steer zeros; wheel radii). The wheels' least-squares twist
-moves it (:mod:`wbmpc.estimation.wheel_odometry`), the gyro measures the turn of the same interval, global poses come late and
+moves it (:mod:`wbmpc.bases.swerve.wheel_odometry`), the gyro measures the turn of the same interval, global poses come late and
 are taken in at the time they belong to. The calibration is part of the state because its errors make the drift: they are
 not noise, they last. The lateness is the turn between the moment at which encoders were read and their message: it ends
 with the next message, and a filter that took it for noise of each interval would add it up. Equations and sources:
@@ -15,16 +15,16 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.bases.swerve.late_poses import LatePoses
+from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State
+from wbmpc.bases.swerve.odometry_memory import OdometryMemory
+from wbmpc.bases.swerve.odometry_step import BIAS, LATE, WHEELS, Interval, Way
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
+from wbmpc.bases.swerve.wheel_odometry import Increment, Mask, Sample, WheelOdometry
+from wbmpc.bases.swerve.wheel_slip import Slip
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
-from wbmpc.estimation.late_poses import LatePoses
-from wbmpc.estimation.odometry_filter import LegEvidence, OdometryNoise, State
-from wbmpc.estimation.odometry_memory import OdometryMemory
-from wbmpc.estimation.odometry_step import BIAS, LATE, WHEELS, Interval, Way
-from wbmpc.estimation.wheel_calibration import WheelCalibration
-from wbmpc.estimation.wheel_odometry import Increment, Mask, Sample, WheelOdometry
-from wbmpc.estimation.wheel_slip import Slip
 from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import ModuleGeometry
 
@@ -300,7 +300,7 @@ class FusedOdometry:
         return LegEvidence(rows @ moved.residual.ravel(), np.concatenate([by_zero, by_radius], axis=1), variance)
 
     def correct(self, t: float, pose: ArrayLike, covariance: ArrayLike) -> bool:
-        """Take in a global pose, see :meth:`wbmpc.estimation.late_poses.LatePoses.correct`."""
+        """Take in a global pose, see :meth:`wbmpc.bases.swerve.late_poses.LatePoses.correct`."""
         return self.global_poses.correct(t, pose, covariance)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.estimation.compilation import compiled, step
+from wbmpc.bases.swerve.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import Backend, Step, bind
 from wbmpc.model.wheels import ModuleGeometry

@@ -1,0 +1,6 @@
+"""Constants of nature that models, estimators and simulated robots share."""
+
+from __future__ import annotations
+
+#: Acceleration of gravity [m/s²]: MuJoCo's default (``option.gravity``), with which robots are simulated; so models and sensors agree.
+GRAVITY = 9.81
