@@ -145,7 +145,7 @@ def test_a_ball_robot_has_no_brakes() -> None:
 def test_a_fault_that_no_brake_has_is_rejected(name: str) -> None:
     """Nothing would come of it."""
     settings = swerve_track.SwerveTrackSettings
-    with pytest.raises(InputError, match=rf"plant.brake_fault.{name[:-2]}: nothing uses it without .*kind=open"):
+    with pytest.raises(InputError, match=rf"plant.brake_fault.{name[:-2]}: nothing uses it without .*brake_fault=open"):
         configure(settings, [f"plant.brake_fault.{name}"], "swerve-track")
     given = [f"plant.brake_fault.{name}", "plant.brake_fault=open"]
     assert configure(settings, given, "swerve-track").plant.brake_fault.kind == "open"
