@@ -189,6 +189,17 @@ def test_recordings_are_taken_as_runs(killed: Path, tmp_path: Path, capsys: pyte
     assert rows["fell"] == ([0.0, 0.0], "1") and rows["error"] == ([None, 0.5], "") and data["notes"] == []
 
 
+def test_a_recording_of_more_figures_than_a_table_shows_is_an_error(tmp_path: Path) -> None:
+    """As of a metrics.json: a table takes a millisecond for each."""
+    file = McapFile(tmp_path / "many.mcap")
+    file.metadata(
+        "run", {"experiment": "fake", "seed": "4", "settings": json.dumps({f"key{k}": k for k in range(6000)})}
+    )
+    file.close()
+    with pytest.raises(InputError, match=r"has 6000 numbers and texts; at most 5000 are read of a run"):
+        load(tmp_path / "many.mcap")
+
+
 def test_settings_are_reported_on_a_screen(
     runs: list[dict],  # type: ignore[type-arg]
     capsys: pytest.CaptureFixture[str],

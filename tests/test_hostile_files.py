@@ -6,10 +6,12 @@ command, which know what they break, and the shapes in the robots' own files.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import stat
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -30,7 +32,7 @@ from wbmpc.recording.messages import decode, encode
 from wbmpc.recording.reader import read_recording
 from wbmpc.recording.records import MAGIC
 from wbmpc.robots import load_description
-from wbmpc.run_files import read_log
+from wbmpc.run_files import read_log, read_metrics
 from wbmpc.study.definition import load_definition
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
@@ -198,6 +200,39 @@ def test_a_log_that_was_cut_is_an_error(
     for command in (["compare", "a", "b"], ["calibrate", "b"]):
         assert main(command) == 2
         assert "b/log.npz: this is not the log of a run" in capsys.readouterr().err
+
+
+def test_a_small_log_that_unpacks_to_much_is_an_error_before_that(tmp_path: Path) -> None:
+    """260 MB of zeros in 260 kB, as an archive may say them; 1 MB that is packed as well is read."""
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": (260 * 2**20,)})
+    path = tmp_path / "log.npz"
+    for size, says in ((260, r"packed into [0-9]+: no run's are packed so well"), (1, "not the log of a run")):
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("x.npy", "w") as file:
+            file.write(head.getvalue())
+            for _ in range(size):
+                file.write(bytes(2**20))
+        assert path.stat().st_size < 400_000
+        with pytest.raises(InputError, match=says):
+            read_log(path)
+    np.savez_compressed(path, x=np.zeros(2**17))
+    assert read_log(path)["x"].size == 2**17
+
+
+MANY = {f"metric{k}": k for k in range(6000)}
+
+
+@pytest.mark.parametrize(
+    "more",
+    [{"metrics": {name: {"value": k, "unit": ""} for name, k in MANY.items()}}, {"settings": MANY}, {"idealisations": ["a"] * 6000}],
+    ids=["metrics", "settings", "texts"],
+)  # fmt: skip
+def test_a_run_of_more_figures_than_a_table_shows_is_an_error(more: dict[str, object], tmp_path: Path) -> None:
+    """Their table took a millisecond for each: a file of 1 MB half a minute."""
+    path = tmp_path / "metrics.json"
+    path.write_text(json.dumps({"metrics": {}, "settings": {}, **more}))
+    with pytest.raises(InputError, match=r"metrics.json: has [0-9]+ numbers and texts; at most 5000 are read of a run"):
+        read_metrics(path)
 
 
 @pytest.mark.parametrize("times", [np.array(1.0), np.zeros((3, 1)), np.array(["a", "b", "c"]), np.full(3, np.nan)])

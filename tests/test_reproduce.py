@@ -7,6 +7,7 @@ import os
 import re
 import statistics
 import sys
+import threading
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -84,6 +85,19 @@ def test_runs_go_on_beside_each_other(tmp_path: Path) -> None:
     )
     jobs = plan(["fake"], [0, 1], tmp_path / "out")
     assert run_all(jobs, 2, None, lambda job: fake(job, meet)) == {}
+
+
+def test_a_pipe_in_the_place_of_a_runs_errors_is_replaced(tmp_path: Path) -> None:
+    """Its reader would never come."""
+    job = Job("fake", 0, tmp_path / "a")
+    job.directory.mkdir()
+    os.mkfifo(job.directory / "errors.txt")
+    said: list[dict[Job, str]] = []
+    call = lambda _: [sys.executable, "-c", "import sys; sys.exit('over')"]
+    thread = threading.Thread(target=lambda: said.append(run_all([job], 1, make=call)), daemon=True)
+    thread.start()
+    thread.join(30.0)
+    assert said == [{job: "over"}]
 
 
 def test_ctrl_c_ends_what_goes_on(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING, named
 from wbmpc.report import table as html_table
 from wbmpc.result import Plot, Series
-from wbmpc.run_files import TEXTS, check_metric, definition_in, read_log, read_metrics
+from wbmpc.run_files import TEXTS, check_amount, check_metric, definition_in, read_log, read_metrics
 from wbmpc.units import Scale, by_unit, scale, with_unit
 
 #: Runs that are compared at once.
@@ -98,6 +98,7 @@ def _recorded(path: Path) -> Run:
     seed = about.get("seed", "")
     if not isinstance(settings, dict) or not isinstance(values, dict) or not re.fullmatch(r"-?[0-9]{0,18}", seed):
         raise InputError(f"{where} cannot be read: settings and metrics must be objects, the seed a whole number")
+    check_amount(where, [settings, values])
     metrics = {name: {"value": value, "unit": ""} for name, value in values.items()}
     for name, metric in metrics.items():
         check_metric(f"{where}: metric '{name}'", metric)

@@ -33,6 +33,8 @@ _SEEDS = re.compile(r"\s*(?P<first>[0-9]{1,9})(-(?P<last>[0-9]{1,9}))?\s*")
 #: Exit codes after which there is a result: completed, or ended early with its figures.
 _FINISHED = (0, 1)
 _POLL = 0.05
+#: What a run says on standard error, beside its own files.
+_ERRORS = "errors.txt"
 #: Speed and size [pixels] of the clips.
 CLIP_SPEED, CLIP_SIZE = 4.0, (640, 360)
 
@@ -116,10 +118,11 @@ def run_all(
             while waiting and len(running) < workers:
                 job = waiting.pop(0)
                 job.directory.mkdir(parents=True, exist_ok=True)
-                for name in RUN_FILES:  # of a run that was killed: a new one would go elsewhere
+                # of a run that was killed: a new one would go elsewhere; and pipes, whose readers never come
+                for name in (*RUN_FILES, _ERRORS):
                     (job.directory / name).unlink(missing_ok=True)
                 # a file, not a pipe: it is not read while the run goes on
-                with (job.directory / "errors.txt").open("w") as errors:
+                with (job.directory / _ERRORS).open("w") as errors:
                     running[job] = subprocess.Popen(
                         make(job), stdout=subprocess.DEVNULL, stderr=errors, env=environment
                     )
@@ -146,7 +149,7 @@ def _finish(job: Job, code: int) -> str:
     if code in _FINISHED and (job.directory / "metrics.json").is_file():
         job.mark.touch()
         return ""
-    lines = (job.directory / "errors.txt").read_text(errors="replace").strip().splitlines()
+    lines = (job.directory / _ERRORS).read_text(errors="replace").strip().splitlines()
     return lines[-1] if lines else f"the process ended with code {code}"
 
 

@@ -16,6 +16,11 @@ from wbmpc.json_file import load_json
 
 #: Bytes of a log's arrays, at most: an hour of a run has about 0.5 GB.
 LARGEST_LOG = 4 * 1024**3
+#: What logs are packed to is about half of their arrays: a small file that unpacks to more than so many bytes, and so many times its own
+#: size, is made to fill the memory.
+LARGEST_PACKED, MOST_PACKED = 256 * 1024**2, 50
+#: Numbers and texts of a metrics.json, at most: a run has some 300, and tables take a millisecond for each.
+MAX_VALUES = 5_000
 #: Ends of the names of a log's arrays that hold texts.
 TEXTS = (".names", ".units")
 _DAMAGED = (
@@ -41,6 +46,7 @@ def read_metrics(path: Path) -> dict[str, Any]:
     data = load_json(path)
     if not isinstance(data, dict):
         raise InputError(f"{path}: an object is needed, with the key 'metrics'")
+    check_amount(str(path), data)
     for key, kind, name in (
         ("experiment", str, "a text"),
         ("reason", str, "a text"),
@@ -67,6 +73,20 @@ def _check_target(where: str, target: Any) -> None:
     numbers = [target.get(key) for key in ("paper", "goal", "least")] if isinstance(target, dict) else [""]
     if not all(v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in numbers):
         raise InputError(f"{where}: an object with numbers is needed, got {target!r:.60}")
+
+
+def check_amount(where: str, data: Any) -> None:
+    """Raise :class:`InputError` for what a JSON text says of a run if it has more than :data:`MAX_VALUES` numbers and texts;
+    ``where``: what messages begin with."""
+    count, left = 0, [data]
+    while left:
+        value = left.pop()
+        if isinstance(value, dict | list):
+            left += value.values() if isinstance(value, dict) else value
+        else:
+            count += 1
+    if count > MAX_VALUES:
+        raise InputError(f"{where}: has {count} numbers and texts; at most {MAX_VALUES} are read of a run")
 
 
 def check_metric(where: str, metric: Any) -> None:
@@ -107,6 +127,9 @@ def read_log(path: Path) -> dict[str, np.ndarray]:
             raise InputError(f"{path}: two of its arrays have one name")
         if size > LARGEST_LOG:
             raise InputError(f"{path}: its arrays have {size} bytes; at most {LARGEST_LOG} are read")
+        packed = sum(member.compress_size for member in members)
+        if size > LARGEST_PACKED and size > MOST_PACKED * packed:
+            raise InputError(f"{path}: its arrays have {size} bytes, packed into {packed}: no run's are packed so well")
         with open_file(path) as file, np.load(file, allow_pickle=False) as log:
             channels = {name: log[name] for name in log.files}
     except InputError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from valley import error
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError, NotWritten
-from wbmpc.study.store import Store
+from wbmpc.study.files import LOCK
+from wbmpc.study.store import Store, is_running
 from wbmpc.study.study import Study, row_about
 from wbmpc.study.work import execute
 
@@ -147,6 +149,41 @@ def test_goals_of_another_program_are_an_error(goals: bytes, tmp_path: Path) -> 
     pyarrow.parquet.write_table(rows.replace_schema_metadata({"targets": goals}), tmp_path / "runs.parquet")
     with Store(tmp_path) as store, pytest.raises(InputError, match=r"runs\.parquet: goals of metrics: "):
         store.outcomes()
+
+
+def test_a_table_with_a_column_twice_is_an_error(tmp_path: Path) -> None:
+    """Also with one that every row has: looked up by its name it was an error of Python's."""
+    import pyarrow
+    import pyarrow.parquet
+
+    columns = [*ROW.items(), ("key", "a-2")]
+    rows = pyarrow.table([[text] for _, text in columns], names=[name for name, _ in columns])
+    pyarrow.parquet.write_table(rows, tmp_path / "runs.parquet")
+    with Store(tmp_path) as store:
+        for read in (store.outcomes, store.table):
+            with pytest.raises(InputError, match=r"runs\.parquet: has a column twice"):
+                read()
+
+
+def test_a_pipe_among_the_parts_is_an_error(tmp_path: Path) -> None:
+    """Whoever lists the studies of a folder, or goes on with one, would wait for its writer; and for a reader of one in the lock's place. The
+    thread that would is not waited for."""
+    (tmp_path / "parts").mkdir()
+    os.mkfifo(tmp_path / "parts/000001.parquet")
+    os.mkfifo(tmp_path / LOCK)
+    said: list[str] = []
+
+    def read() -> None:
+        is_running(tmp_path)
+        try:
+            Store(tmp_path).outcomes()
+        except InputError as error:
+            said.append(str(error))
+
+    reading = threading.Thread(target=read, daemon=True)
+    reading.start()
+    reading.join(30.0)
+    assert said == [f"{tmp_path}/parts/000001.parquet: is no regular file"]
 
 
 @pytest.mark.parametrize("name", [".lock", "study.json", "journal.jsonl", "runs.parquet", "index.html"])

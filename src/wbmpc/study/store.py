@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from wbmpc.errors import InputError, NotWritten
-from wbmpc.input_file import read_file
+from wbmpc.input_file import open_file, read_file
 from wbmpc.output_file import whole_file
 from wbmpc.study.files import ABOUT, BEST, DATABASE, JOURNAL, LOCK, PAGE, PARTS, ROWS, STATISTICS, TRIALS
 from wbmpc.study.rows import check_rows, check_targets
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 MISSING = "studies need Dask, Optuna and pyarrow: pip install 'wbmpc[study]'"
 #: Rows of a part, bytes of a journal of as many, and rows of a Parquet file, at most.
 PART, LARGEST, MAX_ROWS = 5000, 256 * 1024 * 1024, 1_000_000
+_OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
 #: What each row has: of which run it is. Texts.
 _OF_RUN = ("key", "experiment", "outcome")
 #: Where a file's metadata has goals and papers' figures of metrics, by combination.
@@ -60,7 +62,8 @@ def parquet() -> Any:
 
 def is_running(folder: Path) -> bool:
     """Whether a process has the lock on a study's folder."""
-    with (folder / LOCK).open("a") as lock:
+    # not waiting for the reader of a pipe in its place
+    with open(folder / LOCK, "r+b", buffering=0, opener=lambda path, _: os.open(path, _OPEN_LOCK, 0o666)) as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -214,15 +217,16 @@ def _check_table(path: Path) -> None:
     import pyarrow
     import pyarrow.types as types
 
-    about = parquet().read_metadata(path)
+    with open_file(path) as file:
+        about = parquet().read_metadata(file)
     if about.num_rows > MAX_ROWS:
         raise InputError(f"{path}: has {about.num_rows} rows; at most {MAX_ROWS} are read")
     schema = about.schema.to_arrow_schema()
+    if len(set(schema.names)) < len(schema.names):
+        raise InputError(f"{path}: has a column twice; this was not written by a study")
     for name in _OF_RUN:
         if name not in schema.names or not types.is_string(schema.field(name).type):
             raise InputError(f"{path}: column '{name}' of texts is missing; this was not written by a study")
-    if len(set(schema.names)) < len(schema.names):
-        raise InputError(f"{path}: has a column twice; this was not written by a study")
     kinds = {field.name: field.type for field in table_of([]).schema}
     for field in schema:
         kind = kinds.get(field.name, pyarrow.float64() if field.name.startswith("metric.") else field.type)
@@ -236,7 +240,8 @@ def _read(path: Path, columns: list[str] | None) -> pyarrow.Table:
 
     try:
         _check_table(path)
-        found = parquet().read_table(path, columns=columns)
+        with open_file(path) as file:
+            found = parquet().read_table(file, columns=columns)
     except (OSError, pyarrow.ArrowException) as error:
         raise InputError(f"{path}: this is no Parquet file of a study, or not whole ({error})") from error
     if any(found[name].null_count for name in _OF_RUN if name in found.column_names):
