@@ -54,22 +54,40 @@ WRONG: dict[str, tuple[Any, ...]] = {
 }
 
 
-@pytest.fixture(params=["lockstep", pytest.param("realtime", marks=thorough)], scope="module")
-def running(request: pytest.FixtureRequest) -> Iterator[tuple[subprocess.Popen[str], Client]]:
+Running = tuple[subprocess.Popen[str], Client]
+
+
+def start(kind: str) -> Running:
+    """A view and a client of it."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "src")}
-    extra = ["--realtime"] if request.param == "realtime" else []
+    extra = ["--realtime"] if kind == "realtime" else []
     command = [sys.executable, "-m", "wbmpc", "view", "swerve-ur10", *extra, "--json", "--port", str(free_port())]
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     client = Client(json.loads(process.stdout.readline())["url"])
-    assert client.hears(" s  \nend effector error", 60.0)
-    yield process, client
-    if process.poll() is None:
-        process.kill()
-    process.communicate()
+    assert client.hears(" s  \nend effector error", 180.0)
+    return process, client
 
 
-def test_only_the_page_with_the_token_gets_in(running: tuple[Any, Client]) -> None:
+@pytest.fixture(scope="module")
+def started() -> Iterator[dict[str, Running]]:
+    views: dict[str, Running] = {}
+    yield views
+    for process, _ in views.values():
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture(params=["lockstep", pytest.param("realtime", marks=thorough)])
+def running(request: pytest.FixtureRequest, started: dict[str, Running]) -> Running:
+    """A view that several tests share. They come in any order, and one of them ends it: the next one gets another."""
+    if request.param not in started or started[request.param][0].poll() is not None:
+        started[request.param] = start(request.param)
+    return started[request.param]
+
+
+def test_only_the_page_with_the_token_gets_in(running: Running) -> None:
     check_access(running[1].url)
 
 
@@ -89,7 +107,7 @@ def hand_error(client: Client) -> float:
 
 
 @pytest.mark.parametrize("running", ["lockstep"], indirect=True)
-def test_the_page_says_how_late_it_is(running: tuple[Any, Client]) -> None:
+def test_the_page_says_how_late_it_is(running: Running) -> None:
     """The real-time factor, and how many of the ticks began later than a period."""
     _, client = running
     assert client.hears("real-time factor ", 60.0)
@@ -98,7 +116,7 @@ def test_the_page_says_how_late_it_is(running: tuple[Any, Client]) -> None:
     assert 0.0 < factor < 1.5 and 0 <= late <= ticks and ticks > 0
 
 
-def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
+def test_no_message_ends_a_run(running: Running) -> None:
     """Each one is answered on the page, the run goes on and does afterwards what it is asked for properly. It ends below."""
     process, client = running
     previous = run_time(client)
@@ -133,7 +151,7 @@ def test_no_message_ends_a_run(running: tuple[Any, Client]) -> None:
     assert hand_error(client) > 50.0  # a proper goal is taken
 
 
-def test_a_flood_of_malformed_messages_is_a_few_lines(running: tuple[Any, Client]) -> None:
+def test_a_flood_of_malformed_messages_is_a_few_lines(running: Running) -> None:
     process, client = running
     previous = run_time(client)
     for _ in range(700):
