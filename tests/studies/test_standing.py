@@ -14,7 +14,7 @@ from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, d
 from wbmpc.studies.pankert2022.standing import stand_still
 
 LOADED = SwervePerturbation(payload=10.0)
-#: How far a joint may give way [rad]: drives that hold a speed of 0 lose more than that within a second under this load.
+#: How far a joint may give way [rad]: drives that hold a speed of 0 lose twice as much in these 2 s under this load.
 GIVES = 0.02
 
 
