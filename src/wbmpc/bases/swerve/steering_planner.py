@@ -29,8 +29,9 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.bases.swerve.rolling import Rolling
 from wbmpc.model.robot import RobotModel
-from wbmpc.model.wheels import ModuleGeometry, rolling_inverse_kinematics
+from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.solver import Trajectory
 
 if TYPE_CHECKING:
@@ -218,6 +219,7 @@ class SteeringGuess:
         self._armed, self._done = True, False
         self._next_check = -np.inf
         self._mpc: MPC | None = None
+        self._rolling = Rolling(swerve_base(robot).geometry)
 
     def bind(self, mpc: MPC) -> None:
         """Whose moving obstacles the guess keeps clear of."""
@@ -310,7 +312,7 @@ class SteeringGuess:
         rests: bool = False,
     ) -> Trajectory:  # fmt: skip
         """Trajectories from node ``start`` on by rolling inverse kinematics, the wheels as in ``plan``; ``rests``: all but the wheels."""
-        state, inputs, geometry = self.robot.state, self.robot.input, swerve_base(self.robot).geometry
+        state, inputs = self.robot.state, self.robot.input
         grid, x, u = trajectory.grid, trajectory.x.copy(), trajectory.u.copy()
         found = replace(trajectory, x=x, u=u)
         legs, swings = self._legs(trajectory, grid)
@@ -324,7 +326,7 @@ class SteeringGuess:
             # Where the reference rests, the wheels already turn to the motion that comes next (or stay after the last).
             later = moving[min(int(np.searchsorted(moving, k)), moving.size - 1)]
             desired = twists[k] if k in moving else np.zeros(3)
-            target, _ = rolling_inverse_kinematics(geometry, leg, steer, twists[later], swings[later])
+            target, _ = self._rolling(leg, steer, twists[later], swings[later])
             target = plan.nearest(grid[later], target)
             rate = np.clip((target - steer) / h, -self.rate, self.rate)
             # from rest the wheels come first; a wheel of a base that rolls turns on unless it has to turn round
@@ -335,7 +337,7 @@ class SteeringGuess:
                 desired = np.zeros(3)
             x[k, state["base"]], x[k, state["steer"]] = pose, steer
             u[k, inputs["base"]], u[k, inputs["steer"]] = desired, rate
-            _, u[k, inputs["wheel"]] = rolling_inverse_kinematics(geometry, leg, steer, desired, swing)
+            _, u[k, inputs["wheel"]] = self._rolling(leg, steer, desired, swing)
             if "leg" in state:
                 x[k, state["leg"]], u[k, inputs["leg"]] = leg, swing
             pose, steer, leg = lie.se2_step(pose, desired * h), steer + rate * h, leg + swing * h

@@ -23,6 +23,7 @@ from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.perturbation import SoundBrakes, SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.rolling import Rolling
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.errors import RunAborted
 from wbmpc.log import Log
@@ -131,8 +132,8 @@ def _opened(geometry: ModuleGeometry, leg: np.ndarray, stroke: int) -> np.ndarra
     return brake * float(holds)
 
 
-def _rolling(
-    geometry: ModuleGeometry, phase: _Phase, t: float, leg: np.ndarray, home: np.ndarray
+def _rolled(
+    rolling: Rolling, phase: _Phase, t: float, leg: np.ndarray, home: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Steering angles and wheel speeds (n) at ``t`` [s] of a phase; legs (n) that swing are led back to their ``home``.
 
@@ -140,7 +141,7 @@ def _rolling(
     or spread: a wheel that goes before its hinge swings its leg ever farther.
     """
     swing = LEG_GAIN * float(np.hypot(*phase.twist[:2])) * phase.brake * (home - leg)
-    steer, wheel = rolling_inverse_kinematics(geometry, leg, phase.steer, phase.twist, swing)
+    steer, wheel = rolling(leg, phase.steer, phase.twist, swing)
     return steer, wheel * phase.share(t)
 
 
@@ -161,6 +162,7 @@ def drive(
     )  # fmt: skip
     steps = round(1.0 / settings.control.rate / plant.timestep)
     period, geometry = steps * plant.timestep, swerve_base(robot).geometry
+    rolling = Rolling(geometry)
     controller = SwerveController(robot, plant.truth().pose, period)
     phases = _phases(robot, settings)
     swings = any(p.brake.any() for p in phases)
@@ -181,7 +183,7 @@ def drive(
                     log.add("base_odometry", plant.time, controller.estimator.odometry.pose)
                     log.add("base_wheels", plant.time, controller.estimator.wheels_alone.pose)
                 brake = phase.brake
-                steer, wheel = _rolling(geometry, phase, k * period, m.leg if swings else legs, legs)
+                steer, wheel = _rolled(rolling, phase, k * period, m.leg if swings else legs, legs)
                 turning = np.clip(STEER_GAIN * (steer - m.steer), -STEER_SPEED, STEER_SPEED)
                 command = SwerveCommand(wheel * controller.wheel_scale, turning, hold_arm(held, m.arm), brake)
                 tick(plant.time, command)
