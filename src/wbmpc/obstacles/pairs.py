@@ -25,6 +25,8 @@ ALWAYS = 0.95
 #: Of the pairs for a robot file: states that are drawn, the share of them in which a pair may be nearer than its margin, and how many
 #: pairs there are at most: each costs time in every solve.
 FILE_SAMPLES, OFTEN, MAX_PAIRS = 2000, 0.5, 20
+#: Shapes that are nearer [m] overlap.
+TOUCHING = 1e-6
 #: Slides are those of one telescope if the cosine of their axes is more.
 PARALLEL = 0.999
 
@@ -71,23 +73,27 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
 @dataclass(frozen=True)
 class Listing:
     """Pairs for a robot file by what sampling found nearer than the margin: ``pairs`` that can come so near, the most frequent first;
-    ``rare``: the least frequent ones, beyond :data:`MAX_PAIRS`; ``close``: near at home or often, so that nothing can keep them apart."""
+    ``rare``: the least frequent ones, beyond :data:`MAX_PAIRS`; ``close``: near at home or often, so that nothing can keep them apart;
+    ``drawn``: those that overlap in most states, so that it is their shapes which do, and not the parts."""
 
     pairs: tuple[Pair, ...]
     rare: tuple[Pair, ...]
     close: tuple[Pair, ...]
+    drawn: tuple[Pair, ...]
 
 
 def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
     """What a robot file should say of ``collision.self.pairs``. Raises :class:`~wbmpc.errors.InputError` for a robot without shapes."""
     geometry, margin = robot_geometry(robot), robot.description.collision.self.margin
     pairs = [p for p in combinations(_bodies(geometry), 2) if not _adjacent(robot, *p)]
-    near = distances(geometry, pairs, draw_states(robot, samples), margin) < margin
+    apart = distances(geometry, pairs, draw_states(robot, samples), max(margin, TOUCHING))
+    near, drawn = apart < margin, (apart < TOUCHING).mean(axis=0) >= OFTEN
     share = near.mean(axis=0)
-    close = near[0] | (share >= OFTEN)
+    close = near[0] | (share >= OFTEN) | drawn
     order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
     named = [pairs[i] for i in order]
-    return Listing(tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), tuple(pairs[i] for i in np.flatnonzero(close)))
+    listed = lambda mask: tuple(pairs[i] for i in np.flatnonzero(mask))
+    return Listing(tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn))
 
 
 def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:

@@ -60,7 +60,7 @@ class ShapeDescription(Section):
 
 class SelfCollisionDescription(Section):
     """Bodies of the robot, each with all that is fixed to it, that keep ``margin`` [m] from each other: ``pairs`` of them, or those that
-    sampling proposes (``auto``), without the pairs in ``ignore``."""
+    sampling proposes (``auto``). Pairs in ``ignore`` may overlap: neither plans nor the simulation keep them apart."""
 
     margin: _Margin = 0.02
     pairs: Annotated[tuple[Pair, ...] | None, _Auto] = None

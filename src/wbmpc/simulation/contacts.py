@@ -4,13 +4,14 @@ Every shape has a class. Shapes of the robot's file are its hull; tires, balls, 
 classes of robot and scene collide, the robot with itself too; :data:`ALLOWED` lists the pairs that are meant to touch. Any other
 contact is unwanted, and counted. Bodies that a joint connects overlap at it in most files, so they do not collide; nor do sections of a
 telescope, whose shapes are full where those are hollow, nor other parts that the file draws in each other at the robot's home
-(:func:`enable`).
+or that the robot file ignores (:func:`enable`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -47,8 +48,11 @@ FAR = 1.0
 NARROW = 0.001
 
 
-def enable(spec: mujoco.MjSpec, home: Mapping[str, float], source: object) -> None:
-    """Make the shapes of the robot's file collide, in place; ``home`` [rad or m] by joint, ``source``: the file, for errors.
+def enable(
+    spec: mujoco.MjSpec, home: Mapping[str, float], source: object, ignore: Iterable[tuple[str, str]] = ()
+) -> None:  # fmt: skip
+    """Make the shapes of the robot's file collide, in place; ``home`` [rad or m] by joint, ``source``: the file, for errors; ``ignore``:
+    pairs of bodies that may overlap, each with all that is fixed to it.
 
     Where a tire or ball stands for its body, the drawn shapes do not; what is drawn in each other at home stays without contact, and
     so do sections of a telescope.
@@ -71,6 +75,7 @@ def enable(spec: mujoco.MjSpec, home: Mapping[str, float], source: object) -> No
             first, second = sorted(str(model.body(int(model.geom_bodyid[g])).name) for g in pair)
             drawn.add((first, second))
     drawn.update(_nested(model, data))
+    drawn.update(_fixed_to(model, ignore))
     for first, second in sorted(drawn):
         spec.add_exclude(bodyname1=first, bodyname2=second)
 
@@ -112,6 +117,17 @@ def _nested(m: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
             for other in np.flatnonzero(m.body_weldid == part).tolist():
                 a, b = sorted((str(m.body(body).name), str(m.body(other).name)))
                 found.add((a, b))
+    return found
+
+
+def _fixed_to(m: mujoco.MjModel, pairs: Iterable[tuple[str, str]]) -> set[tuple[str, str]]:
+    """All bodies, by name in order, that are fixed to the ones of ``pairs``."""
+    found = set[tuple[str, str]]()
+    for pair in pairs:
+        parts = [np.flatnonzero(m.body_weldid == m.body_weldid[m.body(name).id]).tolist() for name in pair]
+        for one, other in product(*parts):
+            a, b = sorted((str(m.body(one).name), str(m.body(other).name)))
+            found.add((a, b))
     return found
 
 

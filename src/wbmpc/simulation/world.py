@@ -130,7 +130,7 @@ class World:
         which drives give their whole torque, by actuator. Raises :class:`InputError` naming the robot's file where it cannot be
         simulated: a base without mass."""
         log_warnings()
-        enable(spec, description.home, description.model)
+        enable(spec, description.home, description.model, description.collision.self.ignore)
         self.model: mujoco.MjModel = compiled(spec, description.model)
         self.data = mujoco.MjData(self.model)
         self.timestep = float(self.model.opt.timestep)
