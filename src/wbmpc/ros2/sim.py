@@ -106,7 +106,8 @@ class SimNode:
         fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
         fixed.publish({"transforms": [self._imu_frame()]})
         described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
-        described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
+        text = to_urdf(self.robot.description, frames.base, frames.world, self.settings.joints)
+        described.publish({"data": text})
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
