@@ -40,8 +40,9 @@ RESTED, AGAIN = 3.0, 0.05
 AGAIN_LED = 4.0
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
 BEGIN = 1.0
-#: Physics that is later than this [s] lets the time go, and counts it.
-LATE = 0.05
+#: Physics that is later than this [s] lets the time go, and counts it: of a robot that is held, whose controller takes states for that old,
+#: and of others, whose stamps then leave a gap over which no estimator takes the gyro's rate for the turning between.
+LATE, LATE_STANDING = 0.05, 0.12
 IMU = "imu"
 TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/end_effector", "/contact"
 
@@ -226,7 +227,7 @@ class SimNode:
         wait = due - time.perf_counter()
         if wait > 0.0:
             time.sleep(wait)
-        elif wait < -LATE:
+        elif wait < -(LATE if self.side.held else LATE_STANDING):
             self.behind += 1
             self._began -= wait
             return time.perf_counter()
