@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 from xml.etree import ElementTree
 
@@ -11,8 +11,9 @@ import numpy as np
 from wbmpc import lie
 
 
-def of_urdf(text: str) -> tuple[set[str], dict[str, str]]:
-    """Links, and parents by child as robot_state_publisher sends them: it leaves floating joints to others."""
+def of_urdf(text: str, states: Collection[str] | None = None) -> tuple[set[str], dict[str, str]]:
+    """Links, and parents by child as robot_state_publisher sends them: it leaves floating joints to others, and sends those that move
+    when joint states have them, or the joint that they mimic. ``states``: names that joint states have; all by default."""
     root = ElementTree.fromstring(text)
     links = [str(link.get("name")) for link in root.findall("link")]
     assert len(set(links)) == len(links), links
@@ -20,7 +21,10 @@ def of_urdf(text: str) -> tuple[set[str], dict[str, str]]:
     for joint in root.findall("joint"):
         parent, child = (joint.find(tag).get("link") for tag in ("parent", "child"))  # type: ignore[union-attr]
         assert parent in links and child in links and child not in parents, (parent, child)
-        if joint.get("type") != "floating":
+        mimic = joint.find("mimic")
+        followed = joint.get("name") if mimic is None else mimic.get("joint")
+        heard = states is None or joint.get("type") == "fixed" or followed in states
+        if joint.get("type") != "floating" and heard:
             parents[child] = parent
     return set(links), parents  # type: ignore[return-value]
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from xml.etree import ElementTree
+
 import mujoco
 import numpy as np
 import pinocchio
@@ -79,19 +82,75 @@ def test_joints_beside_their_bodies(tmp_path) -> None:  # type: ignore[no-untype
 
 
 def test_a_robot_that_is_urdf_stays_as_it_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    source = load_description("swerve-ur10")
+    source = load_description("ur5")
     text = to_urdf(source)
     (tmp_path / "own.urdf").write_text(text)
-    held = ", ".join(f"{name}: 0" for name in source.joints() if name != "elbow_joint")
+    joints = ", ".join(source.joints())
     (tmp_path / "own.yaml").write_text(
-        "name: own\nmodel: own.urdf\nbase: {type: fixed, body: base_link}\narm: {joints: [elbow_joint], tool: tool0}\n"
-        f"fixed_joints: {{{held}}}\n"
+        f"name: own\nmodel: own.urdf\nbase: {{type: fixed, body: base_link}}\narm: {{joints: [{joints}], tool: tool0}}\n"
     )
     own = load_description(tmp_path / "own.yaml")
     assert to_urdf(own) == text
     links, parents = of_urdf(to_urdf(own, base="chassis", world="wrist_1_link"))
-    assert root(parents, "tool0") == "chassis" and "base_link" not in links and parents["leg_LF"] == "chassis"
-    assert parents["wrist_2_link"] == "arm_wrist_1_link" and parents["arm_base_link"] == "chassis"
+    assert root(parents, "tool0") == "chassis" and "base_link" not in links
+    assert parents["wrist_2_link"] == "arm_wrist_1_link" and parents["shoulder_link"] == "chassis"
+
+
+COLUMN = """
+<robot name="column">
+  <link name="foot">{mass}</link><link name="a">{mass}</link><link name="b">{mass}</link><link name="c">{mass}</link><link name="d">{mass}</link>
+  <joint name="rise" type="prismatic"><parent link="foot"/><child link="a"/><origin xyz="0 0.1 0.3" rpy="0.4 0.2 -0.3"/>
+    <axis xyz="0 0.6 0.8"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+  <joint name="turn" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.2 0 0.1" rpy="-0.5 0.1 0.7"/>
+    <axis xyz="0 1 1"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+  <joint name="swing" type="revolute"><parent link="b"/><child link="c"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+  <joint name="wrist" type="revolute"><parent link="c"/><child link="d"/><origin xyz="0.2 0 0.1"/>
+    <axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+  <transmission name="t"><joint name="wrist"/></transmission>
+</robot>"""
+
+
+def column(folder: Path, more: str) -> RobotDescription:
+    mass = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    (folder / "own.urdf").write_text(COLUMN.format(mass=mass))
+    (folder / "own.yaml").write_text(f"name: own\nmodel: own.urdf\nbase: {{type: fixed, body: foot}}\n{more}\n")
+    return load_description(folder / "own.yaml")
+
+
+def test_joints_that_are_held_are_fixed_where_they_are_held(tmp_path: Path) -> None:
+    """No joint states have them: robot_state_publisher would send nothing of what hangs on them."""
+    arm = "arm: {joints: [wrist], tool: d}\nfixed_joints: {rise: 0.2, turn: -0.7, swing: 0.4}"
+    own = column(tmp_path, arm)
+    for seed in range(3):
+        compare(own, seed)
+    _, parents = of_urdf(to_urdf(own), {"wrist"})
+    assert root(parents, "d") == "base_link"
+
+
+def test_joints_that_are_coupled_mimic(tmp_path: Path) -> None:
+    """As a URDF says it: the follower's value is the multiplier times that of the other joint, and the offset."""
+    arm = "arm: {joints: [rise, swing, wrist], tool: d}\ncouple: {turn: {joint: wrist, ratio: -0.5, offset: 0.1}}"
+    text = to_urdf(column(tmp_path, arm), joints={"wrist": "hand"})
+    _, parents = of_urdf(text, {"rise", "swing", "hand"})
+    assert root(parents, "d") == "base_link" and text.count('"hand"') == 3 and '"wrist"' not in text
+    mimic = ElementTree.fromstring(text).find("joint[@name='turn']/mimic")
+    assert mimic is not None and mimic.attrib == {"joint": "hand", "multiplier": "-0.5", "offset": "0.1"}
+
+
+def test_no_link_between_two_joints_of_a_body_is_called_like_another_frame(tmp_path: Path) -> None:
+    """Nor are two points on links. URDF: names of links are unique."""
+    body = '<body name="turn_link"><joint name="turn" axis="0 0 1"/><joint name="tilt" axis="0 1 0"/><geom size="0.1" mass="1"/>'
+    sites = '<site name="tool" pos="0.1 0 0"/><site name="trunk"/><site name="trunk_frame"/>'
+    (tmp_path / "odd.xml").write_text(
+        f'<mujoco><worldbody><body name="trunk"><geom size="0.1" mass="1"/>{body}{sites}</body></body></worldbody></mujoco>'
+    )
+    (tmp_path / "odd.yaml").write_text(
+        "name: odd\nmodel: odd.xml\nbase: {type: fixed, body: trunk}\narm: {joints: [turn, tilt], tool: tool}\n"
+        "limits: {velocity: {turn: 1, tilt: 1}, position: {turn: [-1, 1], tilt: [-1, 1]}}\n"
+    )
+    description = load_description(tmp_path / "odd.yaml")
+    compare(description, 0)
+    assert root(of_urdf(to_urdf(description, base="trunk"))[1], "tool") == "trunk"
 
 
 def test_what_is_above_the_base_of_an_own_urdf_is_left_out(tmp_path) -> None:  # type: ignore[no-untyped-def]

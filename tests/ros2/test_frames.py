@@ -29,20 +29,24 @@ if not MISSING:
 POINTS = {"swerve-ur10": {"tool0", "mount", "imu"}, "rezero": {"tool", "imu", "ball"}}
 
 
-@pytest.mark.parametrize("name", list(POINTS))
-def test_bus_and_description_are_one_tree(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "joints"), [("swerve-ur10", {"leg_LF": "front_left", "elbow_joint": "wheel_RF_2"}), ("rezero", {})]
+)
+def test_bus_and_description_are_one_tree(name: str, joints: dict[str, str]) -> None:
     robot = load_robot(name)
-    s = Simulated(robot, Network.of(private()))
+    s = Simulated(robot, Network.of(private()), joints=joints)
     try:
-        got: dict[str, list[Any]] = {"/tf": [], "/tf_static": [], "/robot_description": [], "/odom": [], "/imu": []}
+        topics = "/tf", "/tf_static", "/robot_description", "/odom", "/joint_states"
+        got: dict[str, list[Any]] = {topic: [] for topic in topics}
+        s.control.node.subscribe("/joint_states", "sensor_msgs/msg/JointState", got["/joint_states"].append)
         s.other.subscribe("/tf", "tf2_msgs/msg/TFMessage", got["/tf"].append)
         s.other.subscribe("/odom", "nav_msgs/msg/Odometry", got["/odom"].append)
         s.control.node.subscribe("/tf_static", "tf2_msgs/msg/TFMessage", got["/tf_static"].append, LATCHED)
         s.control.node.subscribe("/robot_description", "std_msgs/msg/String", got["/robot_description"].append, LATCHED)
         s.ready()
-        assert s.until(lambda: all(got[t] for t in ("/tf", "/tf_static", "/robot_description", "/odom")))
+        assert s.until(lambda: all(got[t] for t in topics))
         text = got["/robot_description"][0].data
-        links, by_joints = of_urdf(text)
+        links, by_joints = of_urdf(text, got["/joint_states"][0].name)
         sent = of_transforms(got["/tf"])
         parents = joined(by_joints, of_transforms(got["/tf_static"]), sent)
     finally:

@@ -116,6 +116,29 @@ def test_a_node_that_a_signal_ends_stops_first_and_has_its_status(
     assert seen == ["at rest", "left the bus"]
 
 
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize("command", ["control", "sim"])
+def test_a_signal_while_a_node_is_made_acts_at_once(
+    command: str, number: int, status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Code is compiled then, for seconds, and nothing moves that would have to stop. Truth: what is done after the signal."""
+    seen: list[str] = []
+
+    class Bus:
+        def close(self) -> None:
+            seen.append("left the bus")
+
+    def make(*_: object, **__: object) -> None:
+        signal.raise_signal(number)
+        seen.append("compiled on")
+
+    monkeypatch.setattr(sys.modules["wbmpc.cli.ros2"], "_on_bus", lambda *_: (Bus(), None, None))
+    monkeypatch.setattr("wbmpc.ros2.control.ControlNode", make)
+    monkeypatch.setattr("wbmpc.ros2.sim.SimNode", make)
+    assert main(["ros2", command, "swerve-ur10"]) == status
+    assert seen == ["left the bus"]
+
+
 @pytest.mark.parametrize("command", ["control", "sim"])
 def test_a_node_that_says_the_same_again_and_again_is_heard_five_times(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -35,19 +35,29 @@ def plain(values: dict[str, Any]) -> Any:
     return SimpleNamespace(header=head, joint_names=values["joint_names"], points=points)
 
 
-def sent(rate: np.ndarray, start: np.ndarray | None = None) -> Any:
-    """What is sent for an arm that moves at a constant rate [rad/s] as long as anybody plans; now is 7 s."""
-    said: list[dict[str, Any]] = []
-    node: Any = SimpleNamespace(publisher=lambda *given: SimpleNamespace(publish=said.append))
-    controller = Controller(topic="/arm", joints=tuple(ARM), takes="trajectory")
+def plan(rate: np.ndarray, start: np.ndarray | None = None) -> Policy:
+    """Of an arm that moves at a constant rate [rad/s] for 2 s."""
     times = np.linspace(0.0, 2.0, 41)
     x = np.tile(ROBOT.home, (41, 1))
     x[:, ROBOT.state["arm"]] = (ROBOT.home[ROBOT.state["arm"]] if start is None else start) + times[:, None] * rate
     u = np.zeros((40, ROBOT.input.size))
     u[:, ROBOT.input["arm"]] = rate
-    policy = Policy(times, x, u, np.zeros((40, ROBOT.input.size, ROBOT.state.size)))
-    TrajectorySender(node, ROBOT, SwerveRosSettings(), controller).send(policy, 0.01, 7.0)
-    return plain(said[0])
+    return Policy(times, x, u, np.zeros((40, ROBOT.input.size, ROBOT.state.size)))
+
+
+def leading(rate: np.ndarray, start: np.ndarray | None = None, joints: Any = ARM) -> tuple[TrajectorySender, Any]:
+    """Who leads the arm along such a plan since 7 s, and all that is sent."""
+    said: list[dict[str, Any]] = []
+    node: Any = SimpleNamespace(publisher=lambda *given: SimpleNamespace(publish=said.append))
+    controller = Controller(topic="/arm", joints=tuple(joints), takes="trajectory")
+    sender = TrajectorySender(node, ROBOT, SwerveRosSettings(), controller)
+    sender.send(plan(rate, start), 0.01, 7.0)
+    return sender, said
+
+
+def sent(rate: np.ndarray, start: np.ndarray | None = None) -> Any:
+    """What is sent for an arm that moves at a constant rate [rad/s] as long as anybody plans; now is 7 s."""
+    return plain(leading(rate, start)[1][0])
 
 
 def test_a_moving_arms_trajectory_ends_at_rest() -> None:
@@ -148,21 +158,32 @@ def test_a_new_trajectory_goes_on_at_the_speed_of_the_old_one() -> None:
 def test_a_stop_brakes_on_and_does_not_turn_back() -> None:
     """Truth: constant deceleration from the speed to rest within the ramp by hand, and the cubic between two points of a
     joint_trajectory_controller: with another end than that a joint would come back, and brake harder."""
-    said: list[dict[str, Any]] = []
-    node: Any = SimpleNamespace(publisher=lambda *given: SimpleNamespace(publish=said.append))
-    controller = Controller(topic="/arm", joints=tuple(reversed(ARM)), takes="trajectory")
-    sender = TrajectorySender(node, ROBOT, SwerveRosSettings(), controller)
     rate, ramp = np.array([1.0, -2.0, 0.5, 0.0, 0.3, -0.1]), 0.2
-    sender.stop(ROBOT.home, rate, ramp, 7.0)
-    (point,) = plain(said[0]).points
+    sender, said = leading(rate, joints=tuple(reversed(ARM)))
+    sender.stop(ROBOT.home, ramp, 7.0)
+    (point,) = plain(said[1]).points
     start, end = ROBOT.home[ROBOT.state["arm"]], np.array(point.positions)[::-1]
     takes = seconds(point.time_from_start)
     assert takes == ramp and not np.any(point.velocities)
     share = np.linspace(0.0, 1.0, 101)[:, None]
     speeds = 6.0 * share * (1.0 - share) * (end - start) / takes + (1.0 - share) * (1.0 - 3.0 * share) * rate
     np.testing.assert_allclose(speeds, (1.0 - share) * rate, atol=1e-9)
-    sender.stop(ROBOT.home, rate, 0.0, 7.0)  # time has to pass
-    assert 0.0 < seconds(plain(said[1]).points[0].time_from_start) < ramp
+    sender.stop(ROBOT.home, 0.0, 7.0)  # time has to pass
+    assert 0.0 < seconds(plain(said[2]).points[0].time_from_start) < ramp
+
+
+@pytest.mark.parametrize("age", [0.0, 2.0])
+def test_a_stop_sets_no_arm_going_that_rests(age: float) -> None:
+    """The node was held up for 2 s, in which the arm followed its last trajectory to its end. Truth: that end, whether joint states say
+    so by now or are as old as the trajectory; and there it stays after a second stop."""
+    rate = np.array([1.0, -0.4, 0.5, 0.0, 0.3, -0.1])
+    sender, said = leading(rate)
+    end, x = np.array(plain(said[0]).points[-1].positions), ROBOT.home.copy()
+    x[ROBOT.state["arm"]] = end if age == 0.0 else ROBOT.home[ROBOT.state["arm"]] + 0.01 * rate  # as it was at 7 s
+    for _ in range(2):
+        sender.stop(x, 0.2, 9.0, age)
+        np.testing.assert_allclose(plain(said[-1]).points[-1].positions, end, atol=1e-9)
+        x[ROBOT.state["arm"]], age = end, 0.0
 
 
 @pytest.mark.parametrize(("age", "counts"), [(0.1, 0.1), (-0.5, 0.0), (9.0, AHEAD)])
@@ -179,24 +200,21 @@ def test_a_stop_after_silence_brakes_from_where_the_arm_has_gone_since(age: floa
     settings = SwerveRosSettings(controllers=controllers)
     trajectories = Trajectories(node, ROBOT, settings)
     rate, place = np.array([0.3, -0.4, 0.2, 0.0, 0.3, -0.1]), ROBOT.state["arm"]
+    trajectories.send(plan(rate), 0.01, lambda: 7.0)
     state = SimpleNamespace(
         trajectories=trajectories, adapter=SimpleNamespace(snapshot=lambda: (3.0, ROBOT.home)), now=lambda: 7.0,
-        robot_io=SimpleNamespace(commanded={"arm": rate}), settings=settings, clock=SimpleNamespace(now=lambda: 3.0 + age),
+        settings=settings, clock=SimpleNamespace(now=lambda: 3.0 + age),
     )  # fmt: skip
     ControlNode._stop_trajectories(state)  # type: ignore[arg-type]
-    (point,) = plain(said[0]).points
+    (point,) = plain(said[1]).points
     takes = seconds(point.time_from_start)
     np.testing.assert_allclose(np.array(point.positions) - ROBOT.home[place], (counts + 0.5 * takes) * rate, atol=1e-9)
 
 
 def test_a_stop_leaves_no_joint_beyond_its_range() -> None:
-    said: list[dict[str, Any]] = []
-    node: Any = SimpleNamespace(publisher=lambda *given: SimpleNamespace(publish=said.append))
-    sender = TrajectorySender(
-        node, ROBOT, SwerveRosSettings(), Controller(topic="/arm", joints=tuple(ARM), takes="trajectory")
-    )
+    sender, said = leading(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
     x, place = ROBOT.home.copy(), ROBOT.state["arm"]
     upper = ROBOT.limits.state_upper[place][2]
     x[place.start + 2] = upper - 0.01
-    sender.stop(x, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), 0.2, 7.0)
-    assert plain(said[0]).points[0].positions[2] == upper
+    sender.stop(x, 0.2, 7.0)
+    assert plain(said[1]).points[0].positions[2] == upper

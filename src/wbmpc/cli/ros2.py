@@ -102,8 +102,8 @@ def ros2_control(
     from wbmpc.simulation.lockstep import interrupt_noted
 
     try:
+        control = ControlNode(node, model, settings)  # a signal ends it at once: nothing moves yet
         with interrupt_noted() as ended:  # the robot is brought to rest first
-            control = ControlNode(node, model, settings)
             control.spin(ended)
     finally:
         node.close()
@@ -132,8 +132,8 @@ def ros2_sim(
     from wbmpc.simulation.lockstep import interrupt_noted
 
     try:
+        sim = SimNode(node, model, settings, seed, factor=factor)
         with interrupt_noted() as ended:
-            sim = SimNode(node, model, settings, seed, factor=factor)
             if verbose:
                 typer.echo(f"the simulated robot is on the bus ({node.backend})", err=True)
             why = sim.spin(ended, seconds)

@@ -42,6 +42,14 @@ def frame_names(base_body: str, bodies: Iterable[str], base: str = BASE, world: 
     return names
 
 
+def free_name(name: str, taken: set[str]) -> str:
+    """A name for another frame, with a suffix where it is ``taken``, to which it is added."""
+    while name in taken:
+        name += SUFFIX
+    taken.add(name)
+    return name
+
+
 def fixed_frames(description: RobotDescription, base: str = BASE, world: str = ODOM) -> list[FixedFrame]:
     """Named points on the links of a robot: tool, mount, inertial unit. A URDF has links for them."""
     model = load_spec(description).compile()
@@ -52,6 +60,6 @@ def fixed_frames(description: RobotDescription, base: str = BASE, world: str = O
         site = model.site(i)
         parent = model.body(int(site.bodyid[0])).name
         if site.name and parent in names:
-            name = site.name + SUFFIX if site.name in taken else site.name
+            name = free_name(site.name, taken)
             found.append(FixedFrame(name, names[parent], np.concatenate([site.pos, site.quat])))
     return found

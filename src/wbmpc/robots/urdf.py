@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from xml.etree import ElementTree as Xml
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.robots.description import RobotDescription, load_spec
-from wbmpc.robots.frames import BASE, ODOM, fixed_frames, frame_names
+from wbmpc.robots.frames import BASE, MAP, ODOM, fixed_frames, frame_names, free_name
 from wbmpc.robots.model_file import ModelFile, file_of
 from wbmpc.robots.urdf_tree import BALL
 
@@ -21,34 +22,41 @@ _JOINTS = {
 _SMALL = 1e-12
 
 
-def to_urdf(description: RobotDescription, base: str = BASE, world: str = ODOM) -> str:
+def to_urdf(
+    description: RobotDescription, base: str = BASE, world: str = ODOM, joints: Mapping[str, str] | None = None
+) -> str:
     """The robot's own URDF if it has one, else its bodies, joints and primitive shapes written as URDF.
 
     Links have the frames of MuJoCo's bodies and the names of :func:`wbmpc.robots.frames.frame_names`; the root is the base, which
     hangs on ``world`` by what ``/tf`` says. Named points (tool, mount, inertial unit) become links of their own. URDF knows no ball
     joint: it becomes a floating one, whose frame ``/tf`` has to have. Meshes and ellipsoids are left out. Of a robot's own URDF
-    what is above the base is left out, and links whose names are taken are renamed.
+    what is above the base is left out, links whose names are taken are renamed, joints that the robot's file holds are fixed, and
+    those that it couples mimic: no joint states have them. ``joints``: what joint states call those that they do not call as the
+    robot's file does.
     """
     file = file_of(description)
     if file.root is not None:
-        return _own(description, file, base, world)
+        return _own(description, file, base, world, joints or {})
     model = load_spec(description).compile()
     root = Xml.Element("robot", name=description.name)
     body = model.body(description.base.body).id
     inside = {body}
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    points = fixed_frames(description, base, world)
+    taken = {base, world, MAP, *bodies, *(point.name for point in points)}
     for i in range(1, model.nbody):
         if i != body and int(model.body_parentid[i]) in inside:
             inside.add(i)
-            _joints(root, description, model, i)
+            _joints(root, description, model, i, taken)
     for i in sorted(inside):
         _link(root, model, i)
-    bodies = [model.body(i).name for i in range(1, model.nbody)]
     _rename(root, frame_names(description.base.body, bodies, base, world))
     links = {link.get("name") for link in root.iter("link")}
-    for frame in fixed_frames(description, base, world):
+    for frame in points:
         if frame.parent in links:
             Xml.SubElement(root, "link", name=frame.name)
             _joint(root, f"{frame.name}_fixed", "fixed", frame.parent, frame.name, frame.pose[:3], frame.pose[3:])
+    _settle(root, description, joints or {})
     return _written(root)
 
 
@@ -57,7 +65,7 @@ def _written(root: Xml.Element) -> str:
     return '<?xml version="1.0"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
 
 
-def _own(description: RobotDescription, file: ModelFile, base: str, world: str) -> str:
+def _own(description: RobotDescription, file: ModelFile, base: str, world: str, called: Mapping[str, str]) -> str:
     """The robot's own URDF from its base on; untouched if that changes nothing and it has no macros."""
     root = file.root
     assert root is not None
@@ -70,7 +78,8 @@ def _own(description: RobotDescription, file: ModelFile, base: str, world: str) 
         frame_names(description.base.body, sorted(inside), base, world),
         [j for j in joints if j.get("type") == BALL],
     )
-    if not (file.macros or outside or balls) and all(body == name for body, name in names.items()):
+    settled = description.fixed_joints or description.couple or called
+    if not (file.macros or outside or balls or settled) and all(body == name for body, name in names.items()):
         return file.path.read_text()
     for joint in balls:  # ROS knows none
         joint.set("type", "floating")
@@ -80,6 +89,7 @@ def _own(description: RobotDescription, file: ModelFile, base: str, world: str) 
         if parent not in inside:
             root.remove(joint)
     _rename(root, names)
+    _settle(root, description, called)
     return _written(root)
 
 
@@ -96,6 +106,48 @@ def _rename(root: Xml.Element, names: dict[str, str]) -> None:
         for key in ("link", "reference"):
             if element.get(key) in names:
                 element.set(key, names[str(element.get(key))])
+
+
+def _settle(root: Xml.Element, description: RobotDescription, called: Mapping[str, str]) -> None:
+    """Joints as a robot's file has them: held, coupled, and called as joint states call them, also where others (mimics,
+    transmissions, ros2_control's) name them."""
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        if name in description.fixed_joints:
+            _hold(joint, description.fixed_joints[name])
+        elif name in description.couple:
+            leads = description.couple[name]
+            _drop(joint, "mimic")
+            values = {"multiplier": f"{leads.ratio:.9g}", "offset": f"{leads.offset:.9g}"}
+            Xml.SubElement(joint, "mimic", {"joint": leads.joint, **values})
+    for element in root.iter():
+        for key in ("joint", "name") if element.tag == "joint" else ("joint",):
+            if element.get(key) in called:
+                element.set(key, called[str(element.get(key))])
+
+
+def _hold(joint: Xml.Element, value: float) -> None:
+    """Fix a joint at a value [rad or m]."""
+    origin, found = joint.find("origin"), joint.find("axis")
+    numbers = lambda text: np.array([float(v) for v in text.split()])
+    read = lambda element, key, other: numbers(other if element is None else element.get(key, other))
+    axis = read(found, "xyz", "1 0 0")
+    axis = axis / np.linalg.norm(axis)
+    roll, pitch, yaw = read(origin, "rpy", "0 0 0")
+    turned, position = lie.euler_zyx_to_rotation(yaw, pitch, roll), read(origin, "xyz", "0 0 0")
+    if joint.get("type") == "prismatic":
+        position = position + turned @ (value * axis)
+    else:
+        turned = turned @ lie.quaternion_to_rotation(lie.quaternion_about(axis, value))
+    joint.set("type", "fixed")
+    _drop(joint, "origin", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller")
+    _origin(joint, position, lie.rotation_to_quaternion(turned))
+
+
+def _drop(joint: Xml.Element, *tags: str) -> None:
+    for tag in tags:
+        for element in joint.findall(tag):
+            joint.remove(element)
 
 
 def _text(values: np.ndarray) -> str:
@@ -117,8 +169,9 @@ def _joint(
     return joint
 
 
-def _joints(root: Xml.Element, description: RobotDescription, model: mujoco.MjModel, i: int) -> None:
-    """The joints between a body and its parent, with links without mass between several, or beside the body's origin."""
+def _joints(root: Xml.Element, description: RobotDescription, model: mujoco.MjModel, i: int, taken: set[str]) -> None:
+    """The joints between a body and its parent, with links without mass between several, or beside the body's origin, whose names
+    are not ``taken``."""
     name, parent = model.body(i).name, model.body(int(model.body_parentid[i])).name
     position, quaternion = model.body_pos[i].copy(), model.body_quat[i].copy()
     first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
@@ -126,7 +179,7 @@ def _joints(root: Xml.Element, description: RobotDescription, model: mujoco.MjMo
     for j in range(first, first + count):
         anchor = model.jnt_pos[j]
         direct = j == first + count - 1 and np.abs(anchor).max() < _SMALL
-        child = name if direct else f"{model.joint(j).name}_link"
+        child = name if direct else free_name(f"{model.joint(j).name}_link", taken)
         if not direct:
             Xml.SubElement(root, "link", name=child)
         at = position + lie.quaternion_to_rotation(quaternion) @ anchor

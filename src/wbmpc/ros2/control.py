@@ -389,8 +389,7 @@ class ControlNode:
         """Who follows trajectories brakes as the other drives do, once."""
         self.trajectories.restart()
         if (seen := self.adapter.snapshot()) is not None:
-            rates, age = self.robot_io.commanded["arm"], self.clock.now() - seen[0]
-            self.trajectories.stop(seen[1], rates, self.settings.safety.ramp, self.now, age)
+            self.trajectories.stop(seen[1], self.settings.safety.ramp, self.now, self.clock.now() - seen[0])
 
     def _stop_runner(self, message: str) -> None:
         """Stop; see :meth:`_supervise` for one without a clock."""

@@ -208,6 +208,12 @@ def mean_rate(times: Sequence[float], rates: Sequence[np.ndarray], longest: floa
     return np.asarray(steps @ middles / steps.sum())
 
 
+def by_arrivals(rate: float | None, stamps: float, arrivals: float) -> float | None:
+    """A mean ``rate`` [rad/s] over the time between two stamps [s] as one over that between their arrivals, by which estimators count:
+    the angle stays. Messages may come in bursts, and those of a slow simulator take longer than their stamps say."""
+    return rate if rate is None or stamps <= 0.0 or arrivals <= 0.0 else rate * stamps / arrivals
+
+
 def read_imu(message: Any) -> Inertial:
     """An Imu message; an :class:`InputError` says what is wrong with one."""
     return Inertial(read_vector(message.angular_velocity, "imu"), read_vector(message.linear_acceleration, "imu"))

@@ -40,8 +40,9 @@ RESTED, AGAIN = 3.0, 0.05
 AGAIN_LED = 4.0
 #: Simulated time at the beginning [s]: 0 means in ROS that there is no time yet.
 BEGIN = 1.0
-#: Physics that is later than this [s] lets the time go, and counts it.
-LATE = 0.05
+#: Physics that is later than this [s] lets the time go, and counts it: of a robot that is held, whose controller takes states for that old,
+#: and of others, whose stamps then leave a gap over which no estimator takes the gyro's rate for the turning between.
+LATE, LATE_STANDING = 0.05, 0.12
 IMU = "imu"
 TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/end_effector", "/contact"
 
@@ -106,7 +107,8 @@ class SimNode:
         fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
         fixed.publish({"transforms": [self._imu_frame()]})
         described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
-        described.publish({"data": to_urdf(self.robot.description, frames.base, frames.world)})
+        text = to_urdf(self.robot.description, frames.base, frames.world, self.settings.joints)
+        described.publish({"data": text})
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
         self._names = [n for names in self._order.values() for n in names]
@@ -225,7 +227,7 @@ class SimNode:
         wait = due - time.perf_counter()
         if wait > 0.0:
             time.sleep(wait)
-        elif wait < -LATE:
+        elif wait < -(LATE if self.side.held else LATE_STANDING):
             self.behind += 1
             self._began -= wait
             return time.perf_counter()

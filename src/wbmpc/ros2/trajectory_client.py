@@ -54,14 +54,17 @@ class TrajectorySender:
         self._to = node.publisher(controller.topic, controller.type, DEFAULT)
         self._names = [settings.bus_name(n) for n in controller.joints]
         arm = list(robot.state.groups["arm"])
-        self._in_arm = [arm.index(n) for n in controller.joints]
-        self._places = [robot.state["arm"].start + i for i in self._in_arm]
-        self._rates = [robot.input["arm"].start + i for i in self._in_arm]
+        in_arm = [arm.index(n) for n in controller.joints]
+        self._places = [robot.state["arm"].start + i for i in in_arm]
+        self._rates = [robot.input["arm"].start + i for i in in_arm]
         limits = robot.limits
         maximum = limits.input_rate[self._rates]
         self._brakes_with = BRAKING * np.where(np.isfinite(maximum), maximum, BRAKES_WITH / BRAKING)
         self._range = limits.state_lower[self._places], limits.state_upper[self._places]
         self.period, self.due = 1.0 / settings.rates.trajectory, -np.inf
+        self._sent: tuple[float, np.ndarray, np.ndarray] | None = (
+            None  # when [s of the bus], times [s] from then on, rates
+        )
 
     def send(self, policy: Policy, t: float, now: float) -> None:
         """The plan from t [s] on, which is ``now`` on the bus: positions and velocities at its nodes of the next seconds, then a
@@ -74,9 +77,9 @@ class TrajectorySender:
         rates = [policy.feedforward(float(s))[self._rates] for s in times]
         end = float(np.clip(np.max(np.abs(rates[-1]) / self._brakes_with), *BRAKES_WITHIN))
         position = self._at_rest(positions[-1], rates[-1], end)
-        self._publish(
-            now, [*(times - t), float(times[-1]) - t + end], [*positions, position], [*rates, 0.0 * rates[-1]]
-        )
+        after = [*(times - t), float(times[-1]) - t + end]
+        self._publish(now, after, [*positions, position], [*rates, 0.0 * rates[-1]])
+        self._sent = now, np.array(after), np.array([*rates, 0.0 * rates[-1]])
 
     def _at_rest(self, position: np.ndarray, rate: np.ndarray, takes: float) -> np.ndarray:
         """Where (n) [rad] braking from ``rate`` (n) [rad/s] ends: all joints brake evenly, in ``takes`` [s], and none leaves its
@@ -93,13 +96,27 @@ class TrajectorySender:
         ]
         self._to.publish({"header": header(now, ""), "joint_names": self._names, "points": points})
 
-    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: float, age: float = 0.0) -> None:
-        """Brake within ``ramp`` [s] from a state (nx) that is ``age`` [s] old and the speeds of the arm (m) [rad/s], at which it has
-        gone on since. An end where the joints are, or were, would be passed and come back to, harder than any ramp."""
-        takes, rate = max(ramp, BRAKES_WITHIN[0]), rates[self._in_arm]
-        position = x[self._places] + min(max(age, 0.0), AHEAD) * rate  # as far as it had a trajectory for
-        end = self._at_rest(position, rate, takes)
-        self._publish(now, [takes], [end], [np.zeros(position.size)])
+    def stop(self, x: np.ndarray, ramp: float, now: float, age: float = 0.0) -> None:
+        """Brake within ``ramp`` [s] from a state (nx) that is ``age`` [s] old. An end where the joints are, or were, would be passed and
+        come back to, harder than any ramp; one beyond where the last trajectory ends would set a resting arm going."""
+        takes = max(ramp, BRAKES_WITHIN[0])
+        rate, went = self._followed(now, age)
+        end = self._at_rest(x[self._places] + went, rate, takes)
+        self._publish(now, [takes], [end], [np.zeros(end.size)])
+        self._sent = now, np.array([0.0, takes]), np.array([rate, 0.0 * rate])
+
+    def _followed(self, now: float, age: float) -> tuple[np.ndarray, np.ndarray]:
+        """Rates (n) [rad/s] at which the last trajectory has the joints by now, and how far [rad] it has led them in the last ``age`` [s]:
+        what came before it went on as it begins."""
+        if self._sent is None:
+            return np.zeros(len(self._places)), np.zeros(len(self._places))
+        at, times, rates = self._sent
+        until = now - at
+        since = min(max(until - max(age, 0.0), -AHEAD), until)
+        grid = np.unique(np.clip([since, *times, until], since, until))
+        followed = np.stack([np.interp(grid, times, column) for column in rates.T], axis=1)
+        steps = 0.5 * np.diff(grid)[:, None]
+        return followed[-1], np.sum(steps * (followed[1:] + followed[:-1]), axis=0)
 
 
 class Trajectories:
@@ -120,7 +137,7 @@ class Trajectories:
             if t >= sender.due:
                 sender.send(policy, t, now())
 
-    def stop(self, x: np.ndarray, rates: np.ndarray, ramp: float, now: Callable[[], float], age: float) -> None:
-        """Brake within ``ramp`` [s] from a state (nx) that is ``age`` [s] old and the speeds of the arm (m) [rad/s]."""
+    def stop(self, x: np.ndarray, ramp: float, now: Callable[[], float], age: float) -> None:
+        """Brake within ``ramp`` [s] from a state (nx) that is ``age`` [s] old."""
         for sender in self._senders:
-            sender.stop(x, rates, ramp, now(), age)
+            sender.stop(x, ramp, now(), age)

@@ -30,7 +30,7 @@ from wbmpc.ros2.base_adapter import (
 )
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
-from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
+from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 
 Array = np.ndarray
@@ -48,11 +48,12 @@ _NO_STEERING = np.zeros(0)
 @dataclass(frozen=True)
 class BusMeasurement(PlanarMeasurement):
     """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that
-    time; ``origin`` [s]: where on the bus's clock the zero of the runner's is; ``series`` of the encoders."""
+    time; ``origin`` [s]: where on the bus's clock the zero of the runner's is; ``series`` of the encoders; ``stamp`` [s] of the message."""
 
     turning: float | None = None
     origin: float = 0.0
     series: Series = FIRST
+    stamp: float = 0.0
 
 
 class References(dict[str, Reference]):
@@ -80,7 +81,9 @@ class BusController(PlanarController):
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
         """As the inertial unit's messages between the two say."""
-        return getattr(now, "turning", None) if self.use_gyro else None
+        if not (self.use_gyro and isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
+            return None
+        return by_arrivals(now.turning, now.stamp - previous.stamp, now.time - previous.time)
 
     def measure(self, measurement: BusMeasurement) -> None:  # type: ignore[override]
         """Take in the message of this tick, and another localization's pose if there is a new one."""
@@ -214,10 +217,19 @@ class PlanarRosAdapter(BaseAdapter):
         wheel, arm = sample.groups["wheel"], sample.groups["arm"]
         steer = sample.groups.get("steer", _NO_STEERING)
         if imu is None:
-            return BusMeasurement(at, wheel, arm, steer=steer, origin=origin, series=sample.series)
+            return BusMeasurement(at, wheel, arm, steer=steer, origin=origin, series=sample.series, stamp=sample.stamp)
         turning = None if imu.turning is None or not self.settings.use_gyro else float(imu.turning[2])
         return BusMeasurement(
-            at, wheel, arm, imu.gyro, imu.accel, steer, turning=turning, origin=origin, series=sample.series
+            at,
+            wheel,
+            arm,
+            imu.gyro,
+            imu.accel,
+            steer,
+            turning=turning,
+            origin=origin,
+            series=sample.series,
+            stamp=sample.stamp,
         )
 
     def stand(self, measurement: BusMeasurement) -> None:

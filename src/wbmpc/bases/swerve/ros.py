@@ -30,7 +30,7 @@ from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingC
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
-from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
+from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
 
@@ -47,11 +47,12 @@ _NO_LEGS = np.zeros(0)
 @dataclass(frozen=True)
 class BusMeasurement(SwerveMeasurement):
     """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that time; ``origin``
-    [s]: where on the bus's clock the zero of ``time`` is; ``series`` of the encoders."""
+    [s]: where on the bus's clock the zero of ``time`` is; ``series`` of the encoders; ``stamp`` [s] of the message."""
 
     turning: float | None = None
     origin: float = 0.0
     series: Series = FIRST
+    stamp: float = 0.0
 
 
 class BusEstimator(SwerveEstimator):
@@ -98,7 +99,10 @@ class BusEstimator(SwerveEstimator):
 
     def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
         """As the inertial unit's messages between the two say."""
-        return getattr(now, "turning", None)
+        if not (isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
+            return None
+        arrivals = now.time + now.origin - previous.time - previous.origin
+        return by_arrivals(now.turning, now.stamp - previous.stamp, arrivals)
 
     def carry_on(self, other: BusEstimator) -> None:
         """Go on with what another one has estimated."""
@@ -268,11 +272,11 @@ class SwerveRosAdapter(BaseAdapter):
         """Joint states and the inertial unit, read at ``at`` [s] of the runner's clock, whose zero is at ``origin`` [s]."""
         self._has_imu, groups = imu is not None, {"leg": _NO_LEGS, **sample.groups}
         if imu is None:
-            return BusMeasurement(at, **groups, origin=origin, series=sample.series)  # type: ignore[arg-type]
+            return BusMeasurement(at, **groups, origin=origin, series=sample.series, stamp=sample.stamp)  # type: ignore[arg-type]
         turning = None if imu.turning is None else float(imu.turning[2])
         return BusMeasurement(
             at, **groups, gyro=imu.gyro, accel=imu.accel, turning=turning, origin=origin,  # type: ignore[arg-type]
-            series=sample.series,
+            series=sample.series, stamp=sample.stamp,
         )  # fmt: skip
 
     def stand(self, m: SwerveMeasurement) -> None:
