@@ -49,15 +49,16 @@ class _Buffer:
 
     def __init__(self, function: ca.Function) -> None:
         f = function
-        self._buffer, self._run = f.buffer()
-        self._arguments = [np.zeros(f.numel_in(i)) for i in range(f.n_in())]
-        self._found: list[tuple[Array, tuple[tuple[int, ...], NDArray[np.int64]] | None]] = []
+        buffer: Any
+        buffer, self._run = f.buffer()
+        self._buffer, self._arguments = buffer, [np.zeros(f.numel_in(i)) for i in range(f.n_in())]
+        self._found: list[tuple[Array, tuple[tuple[int, int], NDArray[np.int64]] | None]] = []
         for i, place in enumerate(self._arguments):
-            self._buffer.set_arg(i, memoryview(place))
+            buffer.set_arg(i, place.data)
         for i in range(f.n_out()):
             form = f.sparsity_out(i)
             nonzeros: Any = np.zeros(form.nnz())
-            self._buffer.set_res(i, memoryview(nonzeros))
+            buffer.set_res(i, memoryview(nonzeros))
             whole = nonzeros.reshape(form.shape, order="F") if form.is_dense() else nonzeros
             entries = None if form.is_dense() else (form.shape, np.array(form.get_triplet(), int))
             self._found.append((whole, entries))

@@ -333,4 +333,6 @@ class Evaluation:
 
 
 #: For all policies, which several threads may share.
-EVALUATION = Reentrant(Evaluation)
+EVALUATION: Reentrant[
+    [NDArray[np.int64], tuple[int, int, int], bool, float, NDArray[np.float64]], tuple[NDArray[np.float64], int]
+] = Reentrant(Evaluation)
