@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from interrupting import in_time, interrupted
 from realtime_toys import make_mpc
 from wbmpc.model.robot import load_robot
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.process import start_process
 from wbmpc.runtime.shared_memory import Board, Mailbox
+from wbmpc.simulation.lockstep import interrupt_noted
 from wbmpc.types import Observation
 
 #: The first process of a program: that which keeps account of shared memory starts with it.
@@ -83,3 +85,22 @@ def test_processes_of_a_command_start_with_interrupts_blocked(
     with pytest.raises(_Started):
         start()
     assert signal.SIGINT in masks[0] and signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_a_second_signal_acts_wherever_it_comes() -> None:
+    """Also before the first one has been noted as a whole: it waited forever for a lock that the first one had taken."""
+
+    def raise_second() -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    step, more, came = 0, True, 0
+    with in_time(60):
+        while more:
+            step += 1
+            try:
+                with interrupt_noted() as noted:
+                    _, more = interrupted(lambda: signal.raise_signal(signal.SIGINT), raise_second, step)
+                    assert noted()
+            except KeyboardInterrupt:
+                came += 1
+    assert came > 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 
+from interrupting import in_time, interrupted
 from wbmpc.logs import MAX_CAUSES, RateLimitFilter
 
 
@@ -68,3 +69,12 @@ def test_brief_lines_name_the_exception_without_its_traceback() -> None:
         except ValueError:
             log.exception("handler failed")
         assert ("Traceback" in lines[0]) == (not brief) and "ValueError: no number" in lines[0]
+
+
+def test_a_handler_that_logs_in_the_middle_does_not_wait_for_what_it_interrupts() -> None:
+    limit, step, more = RateLimitFilter(5.0, lambda: 0.0).limit, 0, True
+    with in_time(30):
+        while more:
+            step += 1
+            _, more = interrupted(lambda: limit.left_out("cause"), lambda: limit.left_out("other"), step)
+    assert step > 10

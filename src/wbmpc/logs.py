@@ -30,7 +30,7 @@ class RateLimit:
     def __init__(self, lines: int = 5, period: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
         self.lines, self.period, self.clock = lines, period, clock
         self._seen: dict[Hashable, _Seen] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal's handler may log in the middle
 
     def left_out(self, cause: Hashable) -> int | None:
         """Count a line of a cause. How many of it were left out before, if this one may be written, else None."""

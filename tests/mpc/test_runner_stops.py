@@ -24,7 +24,7 @@ from realtime_toys import (
     raises,
     virtual,
 )
-from wbmpc.errors import RunAborted
+from wbmpc.errors import NotFinite, RunAborted
 from wbmpc.runtime.clock import VirtualClock, follow
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.types import Observation
@@ -101,6 +101,11 @@ FAULTS: dict[str, tuple[Callable[[RealTimeRunner], None], str, bool]] = {
         lambda r: late_command(r, raises("lost")),
         "0.500 s: the controller raised RuntimeError: lost",
         True,
+    ),
+    "no number in the controller": (
+        lambda r: late_command(r, raises("the estimate is not finite", NotFinite)),
+        "0.500 s: the estimate is not finite",
+        False,
     ),
     "command not finite": (
         lambda r: late_command(r, lambda: Force(np.array([np.inf]))),

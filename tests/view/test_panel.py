@@ -91,8 +91,10 @@ def test_a_goal_is_given_where_its_handle_is_moved(panel: Any) -> None:
     assert not panel._dragged and panel._values["goals"] == 1
 
 
-def test_a_box_is_put_dragged_and_taken_away(panel: Any) -> None:
+def test_a_box_is_put_dragged_and_taken_away(panel: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the run gets: pose and edge, 0 without a box."""
+    drawn, add = [], panel.server.scene.add_box
+    monkeypatch.setattr(panel.server.scene, "add_box", lambda *a, **k: (drawn.append(k["dimensions"]), add(*a, **k))[1])
     buttons = {h.label: h for h in panel.server.gui._gui_input_handle_from_uuid.values() if hasattr(h, "label")}
 
     def press(label: str) -> None:
@@ -103,12 +105,24 @@ def test_a_box_is_put_dragged_and_taken_away(panel: Any) -> None:
     assert panel._box.visible and panel._values["obstacles"] == 1
     np.testing.assert_allclose(panel._values["obstacle"], [*panels.AHEAD, 1.0, 0.0, 0.0, 0.0, 0.3])
     panel._box.position = (1.0, 2.0, 0.5)
-    for callback in panel._box._impl_aux.update_cb:
-        asyncio.run(callback(SimpleNamespace(phase="update", client=object(), target=panel._box)))
+
+    def move() -> None:
+        for callback in panel._box._impl_aux.update_cb:
+            asyncio.run(callback(SimpleNamespace(phase="update", client=object(), target=panel._box)))
+
+    move()
     assert panel._values["obstacles"] == 2
     np.testing.assert_allclose(panel._values["obstacle"][:3], [1.0, 2.0, 0.5])
+    edge = buttons["Edge [m]"]
+    edge._impl.value = 0.8  # of another size it is drawn, and avoided, at once
+    for callback in edge._impl.update_cb:
+        callback(SimpleNamespace(client=object(), target=edge))
+    assert panel._values["obstacles"] == 3 and panel._values["obstacle"][7] == 0.8
+    assert drawn[-1] == (0.8,) * 3
     press("Take away")
-    assert not panel._box.visible and panel._values["obstacles"] == 3 and not panel._values["obstacle"].any()
+    assert not panel._box.visible and panel._values["obstacles"] == 4 and not panel._values["obstacle"].any()
+    move()
+    assert panel._values["obstacles"] == 4 and not panel._values["obstacle"].any()  # it is not there
 
 
 def test_a_box_of_the_user_is_an_obstacle_of_the_plan() -> None:

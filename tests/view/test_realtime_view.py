@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from test_live import free_port, panel_of
 from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.model.robot import load_robot
-from wbmpc.runtime.shared_memory import Mailbox
+from wbmpc.runtime.shared_memory import Board, Mailbox
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE
 from wbmpc.view.steering import no_requests
 
@@ -192,3 +193,27 @@ def test_a_stop_by_safety_is_reported_once_and_in_the_page(
     assert main(["view", "swerve-ur10", "--realtime", "--port", str(free_port())]) == 1
     assert capsys.readouterr().err.count("a test wanted it") == 1
     assert pages[0].startswith("The run is over: stopped at ") and pages[0].endswith(": a test wanted it")
+
+
+def test_a_robot_that_falls_after_its_stop_begins_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A push from the page that is too much switches the motors off before the robot has fallen, which ended the command."""
+    view: Any = SimpleNamespace(wants_reset=False, stopped=False, robot=load_robot("rezero"))
+    worlds: list[Any] = []
+
+    def runner_of(*_: object) -> tuple[object, Any]:
+        world = physics.Simulated.__new__(physics.Simulated)
+        world.board = Board(physics.NUMBERS)
+        world.process = SimpleNamespace(is_alive=lambda: True, join=lambda _: None)
+        worlds.append(world)
+        return None, world
+
+    def follow(_: object) -> str:
+        view.stopped = len(worlds) == 1
+        if view.stopped:
+            threading.Timer(0.4, worlds[0].board.__setitem__, ("fell", 1.0)).start()
+        return "motors off" if view.stopped else "ended in the view"
+
+    view.follow = follow
+    monkeypatch.setattr(session, "runner_of", runner_of)
+    assert session.run_realtime("rezero", 1, view) == "ended in the view" and len(worlds) == 2
+    assert all(world.board["end"] for world in worlds)

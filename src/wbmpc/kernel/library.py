@@ -15,7 +15,7 @@ from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from wbmpc.errors import KernelError
+from wbmpc.errors import KernelError, SolverBusy
 from wbmpc.kernel import cache
 from wbmpc.kernel.ir import BOOL, DECLARATIONS, INTS, MASK, NONE, NUM, NUMS, VEC, Signature, llvm_type
 from wbmpc.kernel.translate import Translator
@@ -205,7 +205,7 @@ class Library:
         self.name, self.packages, self.modules, self.uses = name, packages, modules, uses
         self.functions: list[Function[..., Any]] = []
         self._engine: Any = None
-        self._lock = threading.Lock()
+        self._lock: Any = threading.RLock()
 
     def compiled(self, python: Callable[P, R]) -> Function[P, R]:
         """Decorator: the function as machine code, with the types of its annotations."""
@@ -270,11 +270,17 @@ class Library:
         return code
 
     def build(self) -> None:
-        """Compile, or load from the cache."""
+        """Compile, or load from the cache. Raises :class:`SolverBusy` within a call that compiles it: who interrupted that, as a signal's
+        handler does, would wait for it forever."""
         from wbmpc.kernel.codegen_target import emit, load_object, target_text
 
         for module in self.modules:
             import_module(module)
+        if self._lock._is_owned() and self._engine is None:
+            raise SolverBusy(
+                f"the code of '{self.name}' is being compiled by the call that this one interrupts, as a signal's handler does; valid: "
+                "one call of each function before the handler is set"
+            )
         with self._lock:
             if self._engine is not None:
                 return

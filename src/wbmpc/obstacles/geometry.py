@@ -154,7 +154,7 @@ def _cover(solid: Solid) -> list[tuple[Array, float]]:
 
 
 _GEOMETRIES: WeakKeyDictionary[RobotModel, RobotGeometry] = WeakKeyDictionary()
-_LOCK = threading.Lock()
+_LOCK = threading.RLock()  # a signal's handler may come in the middle
 
 
 def robot_geometry(robot: RobotModel) -> RobotGeometry:

@@ -152,7 +152,7 @@ def _adjacent(robot: RobotModel, a: str, b: str) -> bool:
 
 
 _PROPOSALS: WeakKeyDictionary[RobotModel, Proposal] = WeakKeyDictionary()
-_LOCK = threading.Lock()
+_LOCK = threading.RLock()  # a signal's handler may come in the middle
 
 
 def proposal_of(robot: RobotModel) -> Proposal:

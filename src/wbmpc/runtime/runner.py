@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 
 from wbmpc.control.protocols import Controller
-from wbmpc.errors import InputError, RunAborted
+from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.runtime.clock import Clock, Loop, Ticker, VirtualClock, WallClock, follow, interleave
@@ -237,7 +237,7 @@ class RealTimeRunner(StopControl):
                     check_held_up(start - due, 0.0, self.settings.watchdog)
                     self._tick(due)
                     check_held_up(0.0, clock.now() - start, self.settings.watchdog)
-                except RunAborted as reason:  # on purpose, by this runner or by the robot: a message
+                except (RunAborted, NotFinite) as reason:  # on purpose, by this runner or by the robot: a message
                     self.halt(str(reason))
                 except (Exception, SystemExit) as error:
                     self._raised(error)

@@ -179,7 +179,7 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
     The same holds for every signal whose handler has an attribute ``noted``, which is called then. A second signal acts at once.
     Nothing is changed outside the main thread, or where the signals have other handlers.
     """
-    pressed = threading.Event()
+    pressed: list[int] = []  # no lock, for which a second signal in the middle would wait forever
     previous: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         handlers: dict[int, Any] = {
@@ -188,15 +188,15 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
         previous = {n: h for n, h in handlers.items() if h is signal.default_int_handler or hasattr(h, "noted")}
 
     def note(number: int, frame: Any) -> None:
-        if pressed.is_set():
+        if pressed:
             raise KeyboardInterrupt
-        pressed.set()
+        pressed.append(number)
         getattr(previous[number], "noted", lambda: None)()
 
     for number in previous:
         signal.signal(number, note)
     try:
-        yield pressed.is_set
+        yield lambda: bool(pressed)
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

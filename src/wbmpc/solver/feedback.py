@@ -7,7 +7,6 @@ offsets (r,), which inputs a row may scale back (r, nu; 1 or 0), and the input o
 
 from __future__ import annotations
 
-import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
+from wbmpc.model.reentrant import Reentrant
 from wbmpc.solver.receding import LINEAR
 
 LIBRARY = Library("policy", packages=("solver", "kernel", "ocp"))
@@ -305,8 +305,8 @@ def plan_rows(
 _OWN, _ARGUMENTS = len(Plan._fields), len(Plan._fields) + 5
 
 
-class Evaluation(threading.local):
-    """Calls of :func:`evaluate` with memory of the calling thread's own: a policy may be shared by several."""
+class Evaluation:
+    """A call of :func:`evaluate` with memory of its own."""
 
     def __init__(self) -> None:
         self._resize(0, 0, 0)
@@ -332,5 +332,7 @@ class Evaluation(threading.local):
         return self._u.copy(), int(self._table[_ARGUMENTS])
 
 
-#: For all policies.
-EVALUATION = Evaluation()
+#: For all policies, which several threads may share.
+EVALUATION: Reentrant[
+    [NDArray[np.int64], tuple[int, int, int], bool, float, NDArray[np.float64]], tuple[NDArray[np.float64], int]
+] = Reentrant(Evaluation)

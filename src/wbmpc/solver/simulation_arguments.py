@@ -10,6 +10,9 @@ from wbmpc.checks import not_negative, real_number, real_numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.ocp.problem import SystemDynamics
 
+#: So many steps at most are simulated in one call.
+SIMULATED = 64
+
 
 def simulation_arguments(
     dynamics: SystemDynamics, x: np.ndarray, u: np.ndarray, h: float

@@ -17,7 +17,7 @@ import numpy as np
 
 from wbmpc.checks import absolute_time, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
-from wbmpc.kernel.step import bind
+from wbmpc.model.reentrant import Reentrant
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.problem import check_problem
 from wbmpc.ocp.schedule import DEFAULT
@@ -30,7 +30,7 @@ from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import SETTINGS, StateField
 from wbmpc.solver.results import SolverResults
 from wbmpc.solver.settings import SLQ, SQP, check_settings_type
-from wbmpc.solver.simulation_arguments import simulation_arguments
+from wbmpc.solver.simulation_arguments import SIMULATED, simulation_arguments
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.violations import violation_message
 from wbmpc.solver.warm_start import start_from, take_as_result
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from wbmpc.solver.receding import Tables
 
 _LOG = logging.getLogger("wbmpc")
-#: So many steps at most are simulated in one call.
-SIMULATED = 64
 _STATUS = (
     Status.CONVERGED,
     Status.ITERATION_LIMIT,
@@ -274,12 +272,12 @@ class Solver(SolverResults):
 
     def _bind(self) -> None:
         """Addresses of what every solve passes on: a call then costs microseconds."""
-        from wbmpc.solver.receding import receding_solve, simulate
+        from wbmpc.solver.receding import receding_solve
+        from wbmpc.solver.simulation import Simulation
 
         self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
-        self._x, self._u = np.zeros(self.problem.nx), np.zeros(SIMULATED * self.problem.nu)
-        own = {"m": self.ws.memory, "o": self.ws.table, "x": self._x, "u": self._u}
-        self._simulate = bind(simulate, own)
+        own, nx, nu = {"m": self.ws.memory, "o": self.ws.table}, self.problem.nx, self.problem.nu
+        self._simulate = Reentrant(lambda: Simulation(own, nx, nu))
         self.x0 = np.zeros(self.problem.nx)
         arrays = (self.ws.memory, self.ws.table, self.x0, self.numbers, self.log)
         self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
@@ -302,10 +300,7 @@ class Solver(SolverResults):
                 return x
         # dozens of times in a controller's tick: memory and addresses are kept
         with self.exclusive:
-            self._x[:] = x
-            self._u[: u.size] = u.reshape(-1)
-            self._simulate(len(u), h)
-            return self._x.copy()
+            return self._simulate(x, u, h)
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].

@@ -176,7 +176,12 @@ class Panel:
             self._box.visible = False
             self._click("obstacles", obstacle=np.zeros(8))
 
-        self._on_drag(self._box, order)
+        def again(act: Callable[[], None]) -> None:
+            if self._box.visible:  # a page that is not ours may move what it does not show
+                act()
+
+        edge.on_update(lambda _: again(put))  # what is drawn is what is avoided
+        self._on_drag(self._box, lambda: again(order))
 
     def _on_drag(self, handle: Any, order: Callable[[], None]) -> None:
         """Do ``order`` where a handle is moved; not where it is only grasped or let go."""

@@ -106,6 +106,13 @@ class Simulated:
         """A force (3) [N] on the base in world axes from now on."""
         self.pushes.write(force=force)
 
+    def falls(self, seconds: float) -> bool:
+        """Whether it has fallen, or does within ``seconds`` [s]: one that balances goes on for a while after its motors are off."""
+        deadline = time.monotonic() + seconds
+        while not self.board["fell"] and self.process.is_alive() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        return bool(self.board["fell"])
+
     def close(self) -> None:
         """End the process."""
         self.board["end"] = 1.0

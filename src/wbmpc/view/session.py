@@ -10,7 +10,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
-from wbmpc.simulation.lockstep import Ending, Watch, Watcher, run_lockstep
+from wbmpc.simulation.lockstep import LONGEST_STOP, Ending, Watch, Watcher, run_lockstep
 from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
@@ -50,9 +50,11 @@ def run_realtime(robot_name: str, seed: int, view: RealtimeView) -> str:
         runner, robot = runner_of(robot_name, seed, view)
         try:
             reason = view.follow(runner)
+            # what stops a robot that loses its balance is often seen before the fall
+            fell = robot.falls(LONGEST_STOP if view.stopped and view.robot.base.balances else 0.0)
         finally:
             robot.close()
-        if not (view.wants_reset or robot.board["fell"]):
+        if not (view.wants_reset or fell):
             return reason
 
 
