@@ -14,6 +14,9 @@ from wbmpc.robots.wheel_search import Wheel
 
 #: Shares of the moment that tips the robot over: of one joint of its arm, for several move at a time; of its wheels.
 JOINT_SHARE, BASE_SHARE = 0.15, 0.4
+#: A center of mass above the edge of what the wheels span, or beyond it, counts as within it by this share of the span's half width: where
+#: casters are is assumed.
+LEAST_WIDTH = 0.2
 #: Postures that are tried.
 POSTURES = 200
 
@@ -32,8 +35,8 @@ def steadiness(
     """At the posture ``angles`` [rad, m], by masses and inertias of the file; None where nothing says on what it stands.
 
     A hinge that accelerates what it moves, of inertia I about its axis, needs a moment α I, of which the floor gives what lies in its
-    plane: at most the weight times the least distance from the middle of the wheels to the edge of what they span. Two wheels are
-    taken to have casters as far ahead of them as they are beside it.
+    plane: at most the weight times the distance from the center of mass to the edge of what the wheels span. Two wheels are taken to
+    have casters as far ahead of their middle and behind it as they are beside it.
     """
     places = np.array([w.center[:2] for w in wheels])
     if len(places) < 2:
@@ -43,13 +46,16 @@ def steadiness(
         data.qpos[model.jnt_qposadr[model.joint(name).id]] = angle
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    moments = float(model.body_mass.sum()) * GRAVITY * _half_width(places)
+    width = _half_width(places)
+    beside = float(np.linalg.norm(data.subtree_com[0][:2] - places.mean(axis=0)))
+    width = max(width - beside, LEAST_WIDTH * width)
+    moments = float(model.body_mass.sum()) * GRAVITY * width
     ground = min(float(w.center[2]) - (w.radius or 0.0) for w in wheels)
     height = max(float(data.subtree_com[0][2]) - ground, 1e-3)
     found = {n: i for n in joints if (i := _tipping_inertia(mechanism, data, n)) > 0.0}
     return Steadiness(
         {name: JOINT_SHARE * moments / inertia for name, inertia in found.items()},
-        BASE_SHARE * GRAVITY * _half_width(places) / height,
+        BASE_SHARE * GRAVITY * width / height,
     )
 
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 MAXIMUM = 0.05
 #: How far a round shape's axis may be from the wheel's: angle [rad], and distance [of its radius].
 TILT, BESIDE = 0.02, 0.05
+#: A mesh is round if it reaches so far in all of so many directions, as a share of its outermost point: a prism of eight sides is, a box is
+#: not.
+ROUND, DIRECTIONS = 0.9, 72
 _ROUND = {mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID}
 
 
@@ -60,7 +63,7 @@ def _compare(description: RobotDescription, radius: Radius, drawn: float | None)
 
 
 def _of_model(model: mujoco.MjModel, joint: str) -> float | None:
-    """The largest radius [m] of what is round about the axis of a joint; a mesh counts by its outermost point."""
+    """The largest radius [m] of what is round about the axis of a joint; a round mesh counts by its outermost point."""
     j = model.joint(joint).id
     if (model.body_parentid == model.jnt_bodyid[j]).any():
         return None
@@ -74,7 +77,7 @@ def _of_model(model: mujoco.MjModel, joint: str) -> float | None:
             mesh = int(model.geom_dataid[g])
             start = int(model.mesh_vertadr[mesh])
             points = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])] @ turned.T + center
-            found.append(float(np.linalg.norm(np.cross(points, axis), axis=1).max()))
+            found += _outline(points, axis)
             continue
         if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
             flat = int(np.argmax(np.abs(turned.T @ axis)))
@@ -90,6 +93,16 @@ def _of_sphere(model: mujoco.MjModel, body: str) -> float | None:
     geoms = np.flatnonzero(model.geom_bodyid == model.body(body).id)
     spheres = [float(model.geom_size[g][0]) for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
     return max(spheres, default=None)
+
+
+def _outline(points: np.ndarray, axis: np.ndarray) -> list[float]:
+    """The radius [m] of a mesh of ``points`` (n, 3) [m] about an ``axis`` (3) through the origin, as a list of one; empty where it is not round
+    about that, as the boxes are that stand for wheels in collision meshes."""
+    across = np.linalg.svd(axis[None])[2][1:]
+    angles = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
+    reach = (points @ across.T @ np.array([np.cos(angles), np.sin(angles)])).max(axis=0)
+    radius = float(np.linalg.norm(np.cross(points, axis), axis=1).max())
+    return [radius] if reach.min() >= ROUND * radius else []
 
 
 def _along(one: np.ndarray, other: np.ndarray) -> bool:
@@ -124,7 +137,7 @@ def _of_urdf(file: ModelFile, root: ElementTree.Element, joint: str) -> float | 
                 if points is None:
                     return None
                 placed = (points * _vector(kind, "scale", (1.0, 1.0, 1.0))) @ turned.T + center
-                found.append(float(np.linalg.norm(np.cross(placed, axis), axis=1).max()))
+                found += _outline(placed, axis)
             radius = number(kind.get("radius"))
             if kind.tag == "cylinder" and not _along(turned[:, 2], axis):
                 continue
