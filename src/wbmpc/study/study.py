@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotWritten
 from wbmpc.json_file import load_json
 from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
@@ -103,7 +103,10 @@ class Study:
 
         for task, row in completed(there, execute, tasks()):
             run = going.pop(task["key"])
+            unwritten = row.pop("unwritten", False)
             store.add({**row_about(run), **row})
+            if unwritten:  # all others would be simulated for nothing
+                raise NotWritten(f"{row['reason']}; what was finished before is kept, the same command continues")
             clock.ended(run, row)
             if progress is not None:
                 progress(clock.share, clock.text(there.threads))
