@@ -269,7 +269,9 @@ def test_a_run_that_gave_up_has_a_report(tmp_path: Path) -> None:
     for name in ("failed", "none"):
         made = Study.load(study(tmp_path, lost + f"files: {name}\n"), tmp_path / name)
         made.run(workers=0)
-        rows.append(sorted(made.table().drop_columns(["files", "started", "wall_time", "cpu_time"]).to_pylist(), key=str))
+        rows.append(
+            sorted(made.table().drop_columns(["files", "started", "wall_time", "cpu_time"]).to_pylist(), key=str)
+        )
     assert rows[0] == rows[1] and {r["outcome"] for r in rows[0]} == {"gave_up"}
     pages = list((tmp_path / "failed" / "files").glob("*/report.html"))
     assert len(pages) == 20 and all("this robot does not move" in p.read_text() for p in pages)

@@ -15,6 +15,7 @@ from wbmpc.errors import InputError, NotWritten
 from wbmpc.json_file import load_json
 from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
+from wbmpc.run_files import flat
 from wbmpc.study.definition import Condition, Definition, load_definition
 from wbmpc.study.files import ABOUT, BEST, JOURNAL, PAGE, ROWS, STATISTICS, TRIAL_ROWS, TRIALS
 from wbmpc.study.page import study_page
@@ -330,12 +331,4 @@ def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
         for section in sections:
             inner = inner.setdefault(section, {})
         inner[last] = value
-    return out
-
-
-def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by dotted key."""
-    out: dict[str, Any] = {}
-    for key, value in settings.items():
-        out |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) and value else {f"{prefix}{key}": value}
     return out
