@@ -23,7 +23,7 @@ from wbmpc.study.plan import Combination, Run, check_inputs, combinations, open_
 from wbmpc.study.store import Store, is_running
 from wbmpc.study.summary import Summary, summarize
 from wbmpc.study.tune_page import tune_page
-from wbmpc.study.tuning import Tuner, settings_of_trial
+from wbmpc.study.tuning import Tuner, settings_of_trial, with_settings
 from wbmpc.study.work import ERROR, LOST, execute
 from wbmpc.study.workers import Later, Pool, Row, Task, completed
 
@@ -150,10 +150,15 @@ class Study:
         assert tune is not None
         if tuned.settings:
             about = f"{title}: the best of {len(tuned.trials)} trials on seeds {', '.join(map(str, tune.seeds))}"
-            found = {**self.definition.settings, **tuned.settings}
-            write_text(self.out / BEST, write_yaml(nested(found), {"": about}))
+            write_text(self.out / BEST, write_yaml(nested(self._shared(tuned.settings) | tuned.settings), {"": about}))
         write_text(self.out / TRIALS, json.dumps(tuned.trials, indent=1) + "\n")
         write_text(self.out / PAGE, tune_page(title, tune, tuned.trials, tuned.front, tuned.report is not None))
+
+    def _shared(self, found: Mapping[str, Any]) -> dict[str, Any]:
+        """What all experiments of the search were set to beside it: settings that are ``found`` may mean nothing without."""
+        tuned = with_settings(self.definition, found)
+        first, *rest = (flat(c.changes) for c in combinations(tuned, self.path.resolve().parent, str(self.path)))
+        return {key: value for key, value in first.items() if all(key in c and c[key] == value for c in rest)}
 
     def _task(self, run: Run) -> Task:
         """What a worker gets: names and settings, some hundred bytes."""
