@@ -18,7 +18,7 @@ from fake_experiment import FakeSettings, run
 from wbmpc.cli import main
 from wbmpc.report import write_run
 from wbmpc.result import Metric
-from wbmpc.run_index import DEEPEST, Entry, find_runs, page, told_apart
+from wbmpc.run_index import DEEPEST, Entry, differing_settings, find_runs, page
 
 CHROMIUM = shutil.which("chromium")
 
@@ -153,7 +153,7 @@ def test_a_click_sorts_and_words_filter(some: Path, tmp_path: Path) -> None:
     assert found is not None and found.group(1) == "357|753|5|73|"
 
 
-def test_runs_are_told_apart_by_the_settings_in_which_they_differ(
+def test_runs_are_differing_settings_by_the_settings_in_which_they_differ(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Folders of a study's runs have names that say nothing. Truth: what was changed; other experiments' settings count for nothing."""
@@ -166,10 +166,10 @@ def test_runs_are_told_apart_by_the_settings_in_which_they_differ(
     other.experiment = "other"
     write_run(other, tmp_path / "runs" / "d")
     found = find_runs(tmp_path / "runs")
-    told = {entry.directory.name: about for entry, about in zip(found, told_apart(found), strict=True)}
-    assert told.pop("e") == "mpc.rate=50, fall_at=9"
-    assert told == {"a": "mpc.rate=50", "b": "mpc.rate=80", "c": "mpc.rate=80", "d": ""}
-    assert page(found, tmp_path).count('<span class="told">mpc.rate=80</span>') == 2
+    differs = {entry.directory.name: about for entry, about in zip(found, differing_settings(found), strict=True)}
+    assert differs.pop("e") == "mpc.rate=50, fall_at=9"
+    assert differs == {"a": "mpc.rate=50", "b": "mpc.rate=80", "c": "mpc.rate=80", "d": ""}
+    assert page(found, tmp_path).count('<span class="differs">mpc.rate=80</span>') == 2
     assert main(["runs", str(tmp_path / "runs")]) == 0
     assert capsys.readouterr().out.count("mpc.rate=80") == 2
 
@@ -178,7 +178,10 @@ def test_many_differences_are_cut(tmp_path: Path) -> None:
     """A table that shows all settings of two unlike runs is no table. Truth: counted by hand."""
     settings = [{f"k{i}": i + k for i in range(9)} for k in (0, 1)]
     runs = [Entry(tmp_path, datetime.now(UTC), "fake", 1, True, settings=s) for s in settings]
-    assert told_apart(runs) == ["k0=0, k1=1, k2=2, k3=3, k4=4, k5=5, …", "k0=1, k1=2, k2=3, k3=4, k4=5, k5=6, …"]
+    assert differing_settings(runs) == [
+        "k0=0, k1=1, k2=2, k3=3, k4=4, k5=5, …",
+        "k0=1, k1=2, k2=3, k3=4, k4=5, k5=6, …",
+    ]
 
 
 def test_damaged_runs_hide_no_others(tmp_path: Path) -> None:
