@@ -18,7 +18,7 @@ from fake_experiment import FakeSettings, run
 from wbmpc.cli import main
 from wbmpc.report import write_run
 from wbmpc.result import Metric
-from wbmpc.run_index import DEEPEST, Entry, find_runs, page
+from wbmpc.run_index import DEEPEST, Entry, differing_settings, find_runs, page
 
 CHROMIUM = shutil.which("chromium")
 
@@ -151,6 +151,37 @@ def test_a_click_sorts_and_words_filter(some: Path, tmp_path: Path) -> None:
     )
     found = re.search(r"<title>(.*?)</title>", out.stdout)
     assert found is not None and found.group(1) == "357|753|5|73|"
+
+
+def test_runs_are_differing_settings_by_the_settings_in_which_they_differ(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Folders of a study's runs have names that say nothing. Truth: what was changed; other experiments' settings count for nothing."""
+    near, far = (FakeSettings.model_validate({"mpc": {"rate": rate}}) for rate in (50.0, 80.0))
+    for name, settings, seed in (("a", near, 3), ("b", far, 3), ("c", far, 4)):
+        write_run(run(settings, seed), tmp_path / "runs" / name)
+    assert FakeSettings().fall_at is None
+    write_run(run(FakeSettings(fall_at=9.0), 3), tmp_path / "runs" / "e")
+    other = run(FakeSettings(duration=1.0), 3)
+    other.experiment = "other"
+    write_run(other, tmp_path / "runs" / "d")
+    found = find_runs(tmp_path / "runs")
+    differs = {entry.directory.name: about for entry, about in zip(found, differing_settings(found), strict=True)}
+    assert differs.pop("e") == "mpc.rate=50, fall_at=9"
+    assert differs == {"a": "mpc.rate=50", "b": "mpc.rate=80", "c": "mpc.rate=80", "d": ""}
+    assert page(found, tmp_path).count('<span class="differs">mpc.rate=80</span>') == 2
+    assert main(["runs", str(tmp_path / "runs")]) == 0
+    assert capsys.readouterr().out.count("mpc.rate=80") == 2
+
+
+def test_many_differences_are_cut(tmp_path: Path) -> None:
+    """A table that shows all settings of two unlike runs is no table. Truth: counted by hand."""
+    settings = [{f"k{i}": i + k for i in range(9)} for k in (0, 1)]
+    runs = [Entry(tmp_path, datetime.now(UTC), "fake", 1, True, settings=s) for s in settings]
+    assert differing_settings(runs) == [
+        "k0=0, k1=1, k2=2, k3=3, k4=4, k5=5, …",
+        "k0=1, k1=2, k2=3, k3=4, k4=5, k5=6, …",
+    ]
 
 
 def test_damaged_runs_hide_no_others(tmp_path: Path) -> None:

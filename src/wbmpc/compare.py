@@ -18,7 +18,7 @@ from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING, named
 from wbmpc.report import table as html_table
 from wbmpc.result import Plot, Series
-from wbmpc.run_files import TEXTS, check_amount, check_metric, definition_in, read_log, read_metrics
+from wbmpc.run_files import TEXTS, check_amount, check_metric, definition_in, flat, read_log, read_metrics
 from wbmpc.units import Scale, by_unit, scale, with_unit
 
 #: Runs that are compared at once.
@@ -175,18 +175,11 @@ def experiments(runs: list[dict[str, Any]]) -> str:
 
 def differences(runs: list[dict[str, Any]]) -> dict[str, list[Any]]:
     """Settings that the runs do not share, by dotted key: the values by run."""
-    flat = [_flat(run.get("settings", {})) for run in runs]
-    keys = dict.fromkeys(key for settings in flat for key in settings)
+    tables = [flat(run.get("settings", {})) for run in runs]
+    keys = dict.fromkeys(key for settings in tables for key in settings)
     found = {"seed": [run.get("seed") for run in runs]}
-    found |= {key: [settings.get(key) for settings in flat] for key in keys if key != "seed"}
+    found |= {key: [settings.get(key) for settings in tables] for key in keys if key != "seed"}
     return {key: values for key, values in found.items() if any(value != values[0] for value in values)}
-
-
-def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for key, value in tree.items():
-        out |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return out
 
 
 def _components(run: Run, channel: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -15,11 +15,13 @@ from urllib.parse import quote
 from wbmpc.errors import InputError
 from wbmpc.report import RECORDING, document
 from wbmpc.result import Metric, metrics_of_interest
-from wbmpc.run_files import read_metrics
+from wbmpc.run_files import flat, read_metrics
 from wbmpc.units import Scale, scale, with_unit
 
 #: Levels below the directory that are searched, and runs that are read, at most.
 DEEPEST, MAX_RUNS = 5, 20_000
+#: Settings that a run of a list is shown with, at most.
+MOST_DIFFERENCES = 6
 REPORT, METRICS = "report.html", "metrics.json"
 
 
@@ -102,6 +104,27 @@ def _read(path: Path) -> Entry:
     )  # fmt: skip
 
 
+def differing_settings(runs: Sequence[Entry]) -> list[str]:
+    """For each run the settings in which the runs of its experiment differ, as ``mpc.rate=100``: the names of a study's runs
+    say nothing. One that is left out (None) is none. Of more than :data:`MOST_DIFFERENCES` the first ones, in the order of the settings."""
+    tables = [{key: _value_text(value) for key, value in flat(run.settings).items()} for run in runs]
+    values: dict[tuple[str, str], set[str]] = {}
+    for run, table in zip(runs, tables, strict=True):
+        for key, value in table.items():
+            values.setdefault((run.experiment, key), set()).add(value)
+    out = []
+    for run, table in zip(runs, tables, strict=True):
+        differs = [f"{key}={value}" for key, value in table.items() if value and len(values[run.experiment, key]) > 1]
+        out.append(", ".join(differs[:MOST_DIFFERENCES]) + (", …" if len(differs) > MOST_DIFFERENCES else ""))
+    return out
+
+
+def _value_text(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:g}" if isinstance(value, float) else f"{value!s:.60}"
+
+
 def _metric(figure: dict[str, Any], target: dict[str, Any]) -> Metric:
     """A metric with its targets; a figure that is not finite is null in the file: as bad as can be."""
     value = figure["value"]
@@ -135,7 +158,7 @@ filter.addEventListener("input", () => { const words = filter.value.toLowerCase(
 <style>th[aria-sort=ascending]::after { content: " ▲" } th[aria-sort=descending]::after { content: " ▼" }
 #filter { width: 100%; padding: 10px 14px; font: inherit; color: inherit; border: 1px solid var(--line); border-radius: 8px; background: var(--card);
   margin: 20px 0 0 } th { white-space: normal; vertical-align: top } th.m { min-width: 104px }
-.note { display: block; white-space: normal; min-width: 220px } main { max-width: 1460px }
+.note, .differs { display: block; white-space: normal; min-width: 220px } .differs { color: var(--soft) } main { max-width: 1460px }
 main :is(th, td) { padding: 6px 9px; font-size: 14px }</style>"""
 
 
@@ -146,9 +169,7 @@ def page(runs: Sequence[Entry], beside: Path, studies: str = "") -> str:
     sections = "".join(_section(name, [r for r in runs if r.experiment == name], beside) for name in names)
     failed = sum(not run.completed for run in runs)
     about = f"{len(runs)} {'run' if len(runs) == 1 else 'runs'}, {failed} not completed. A click on a heading sorts."
-    search = (
-        '<input id="filter" type="search" placeholder="Filter: experiment, seed, outcome, commit" aria-label="Filter">'
-    )
+    search = '<input id="filter" type="search" placeholder="Filter: experiment, setting, seed, outcome, commit" aria-label="Filter">'
     return document("Runs", f'<h1>Runs</h1><p class="sub">{about}</p>{search}{studies}{sections}{_SCRIPT}', plots=False)
 
 
@@ -160,7 +181,8 @@ def _section(name: str, runs: list[Entry], beside: Path) -> str:
     heads = "".join(
         _head(with_unit(n, scales[n].unit), [run.metrics[n] for run in runs if n in run.metrics]) for n in shown
     )
-    rows = "".join(_row(run, shown, scales, beside) for run in runs)
+    differs = differing_settings(runs)
+    rows = "".join(_row(run, about, shown, scales, beside) for run, about in zip(runs, differs, strict=True))
     title = html.escape(name) or "Unreadable"
     return f"""<section id="{title}"><h2>{title}</h2><div class="card scroll"><table>
 <tr><th>run</th><th class=n>seed</th><th>outcome</th>
@@ -178,13 +200,14 @@ def _scale(metrics: Sequence[Metric]) -> Scale:
     return scale(metrics[0].unit, *(m.value for m in metrics), metrics[0].goal, metrics[0].paper)
 
 
-def _row(run: Entry, shown: Sequence[str], scales: dict[str, Scale], beside: Path) -> str:
+def _row(run: Entry, differs: str, shown: Sequence[str], scales: dict[str, Scale], beside: Path) -> str:
     reached, judged = run.goals
     kind = "met" if run.completed else "missed"
     seed = "" if run.seed is None else run.seed
     note = f'<span class="note">{html.escape(run.note)}</span>' if run.note else ""
+    settings = f'<span class="differs">{html.escape(differs)}</span>' if differs else ""
     cells = [
-        f"<td>{_links(run, beside)}</td>", f'<td class=n data-v="{seed}">{seed}</td>',
+        f"<td>{_links(run, beside)}{settings}</td>", f'<td class=n data-v="{seed}">{seed}</td>',
         f'<td><span class="{kind}">{html.escape(run.outcome)}</span>{note}</td>',
         f'<td class=n data-v="{reached / judged if judged else ""}">{f"{reached} of {judged}" if judged else ""}</td>',
         *(_cell(run.metrics.get(n), scales[n], run.completed) for n in shown),

@@ -62,10 +62,10 @@ class Scale:
 
 def scale(unit: str, *values: float | None) -> Scale:
     """The unit in which ``values`` [unit] read best, one for all of them: chosen by the largest. Figures that are not finite, zeros
-    and None do not count; without any other one, and for units that are not listed, the unit itself; none for numbers without a unit."""
-    sizes = [abs(v) for v in values if v is not None and math.isfinite(v) and v]
-    if sizes:
-        for largest, shown, factor in _SCALES.get(unit, ()):
-            if max(sizes) < largest:
-                return Scale(shown, factor)
+    and None do not count; without any other one a unit that is shown for all sizes, or else, and for units that are not listed, the unit
+    itself; none for numbers without a unit."""
+    largest = max((abs(v) for v in values if v is not None and math.isfinite(v) and v), default=math.nan)
+    for below, shown, factor in _SCALES.get(unit, ()):
+        if largest < below or math.isinf(below):
+            return Scale(shown, factor)
     return Scale("" if unit == "1" else unit)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
+import yaml
 from valley import error
 
 from wbmpc.cli import main
@@ -55,6 +57,50 @@ def test_a_front_is_what_no_trial_beats_and_the_least_sum_is_kept(tmp_path: Path
     assert {t["trial"] for t in tuned.front} == values.keys() - beaten and len(tuned.front) > 1
     assert tuned.best is not None and sum(tuned.best["values"]) == min(sum(values[t["trial"]]) for t in tuned.front)
     assert tuned.settings == tuned.best["settings"]
+
+
+def test_the_best_settings_as_a_file_are_those_that_were_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A range that is of one choice alone means nothing without it. Truth: the settings of the run that takes the file."""
+    pytest.importorskip("optuna")
+    text = """
+experiments: {end-effector-track: {path.kind: circle, physics: kinematic}}
+robots: [panda-omni]
+settings: {path.length: 0.1}
+seeds: 300
+tune:
+  seeds: 0
+  trials: 1
+  search: {path.laps: {from: 0.1, to: 0.2}}
+  minimize: [{metric: end_effector_error_mean, limit: 1}]
+"""
+    tuned = Study.load(study(tmp_path, text), tmp_path / "out").tune(workers=0)
+    best = ["--config", str(tmp_path / "out" / "best.yaml"), "--out", str(tmp_path / "run"), "--json"]
+    assert main(["run", "end-effector-track", *best]) == 0
+    used = json.loads((tmp_path / "run" / "metrics.json").read_text())["settings"]
+    assert used["robot"] == "panda-omni" and used["physics"] == "kinematic"
+    assert (used["path"]["kind"], used["path"]["length"], used["path"]["laps"]) == (
+        "circle",
+        0.1,
+        tuned.settings["path.laps"],
+    )
+
+
+def test_the_best_settings_of_unlike_experiments_have_what_they_share(tmp_path: Path) -> None:
+    """Truth: the search's range, and what is written for all of them."""
+    pytest.importorskip("optuna")
+    text = (
+        TUNE.replace("[VALLEY]", "{VALLEY: {goal: 0.25}}").replace("trials: 14", "trials: 1")
+        + """
+settings: {shift: 0.5}
+conditions: {a: {settings: {robot: one}}, b: {settings: {robot: two}}}
+"""
+    )
+    tuned = Study.load(study(tmp_path, text), tmp_path / "out").tune(workers=0)
+    found = yaml.safe_load((tmp_path / "out" / "best.yaml").read_text())
+    gain, offset = tuned.settings["control.gain"], tuned.settings["offset"]
+    assert found == {"shift": 0.5, "goal": 0.25, "control": {"gain": gain}, "offset": offset}
 
 
 def test_heat_maps_and_scatters_keep_conditions_apart(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shlex
+import shutil
 import threading
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from valley import error
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError, NotWritten
+from wbmpc.result import RunResult
 from wbmpc.study.files import LOCK
 from wbmpc.study.store import Store, is_running
 from wbmpc.study.study import Study, row_about
@@ -251,7 +254,53 @@ def test_reports_of_failed_runs_are_kept(tmp_path: Path) -> None:
     made.run(workers=0)
     kept = {r["key"]: r["files"] for r in made.table().to_pylist() if r["files"]}
     assert set(kept) == {r.key for r in made.runs() if r.seed >= 308}
-    assert all((Path(files) / "report.html").is_file() for files in kept.values())
+    for key, files in kept.items():
+        seed = key.rpartition("-")[2]
+        found = json.loads((Path(files) / "metrics.json").read_text())
+        assert (Path(files) / "report.html").is_file() and found["wall_time"] > 0.0
+        words = shlex.split(found["command"])  # repeats this run and no other
+        assert words[:2] == ["wbmpc", "run"] and f"--seed {seed} --set" in found["command"]
+        assert {"fall_from=308", f"control.gain={found['settings']['control']['gain']:g}"} <= set(words)
+
+
+def test_a_run_that_gave_up_has_a_report(tmp_path: Path) -> None:
+    """Truth: the experiment's reason; its row is that of a study without files."""
+    lost, rows = TEXT.replace("fall_from: 308", "robot: lost"), []
+    for name in ("failed", "none"):
+        made = Study.load(study(tmp_path, lost + f"files: {name}\n"), tmp_path / name)
+        made.run(workers=0)
+        rows.append(
+            sorted(made.table().drop_columns(["files", "started", "wall_time", "cpu_time"]).to_pylist(), key=str)
+        )
+    assert rows[0] == rows[1] and {r["outcome"] for r in rows[0]} == {"gave_up"}
+    pages = list((tmp_path / "failed" / "files").glob("*/report.html"))
+    assert len(pages) == 20 and all("this robot does not move" in p.read_text() for p in pages)
+
+
+def test_a_full_disk_that_takes_no_reports_ends_the_study_and_is_no_fall(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: what the disk did not take is repeated, and all runs complete then."""
+    text = TEXT.replace("{fall_from: 308}", "{}") + "files: all\n"
+    made, written = Study.load(study(tmp_path, text), tmp_path / "out"), []
+
+    def full(result: RunResult, directory: Path) -> None:
+        written.append(result.seed)
+        if len(written) > 2:
+            raise NotWritten(f"{directory}: cannot be written (No space left on device)")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("wbmpc.study.work.write_run", full)
+        with pytest.raises(NotWritten, match=r"No space left on device\); .* the same command continues"):
+            made.run(workers=0)
+    assert len(written) == 3 and made.report().finished == 2
+    shutil.rmtree(made.out / "files")
+    (made.out / "files").symlink_to("/dev/null")  # no folder can be made in it
+    with pytest.raises(NotWritten, match=r"cannot be written \(Not a directory\)"):
+        made.run(workers=1)
+    (made.out / "files").unlink()
+    again = made.run(workers=0)
+    assert again.finished == 20 and not again.lost and not any(c.failures.failed for c in again.cells)
 
 
 def test_a_report_has_what_a_killed_study_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

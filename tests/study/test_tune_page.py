@@ -47,3 +47,19 @@ def test_a_front_is_listed_and_no_trial_is_called_the_best() -> None:
     assert "2 trials that none beats in every objective" in page and "Best" not in page and "best" not in page
     listed = page.partition("The front: 2 trials")[2].partition("Trials by")[0]
     assert [cell.partition("<")[0] for cell in listed.split("<tr><td class=n>")[1:]] == ["2", "0"]
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({"constraints": {"tilt<": 0.3}}, "3 keep the constraints (tilt&lt; ≤ 0.3 and all runs complete)."),
+        ({"constraints": {"a": 1, "b": 2}, "allow_failures": True}, "3 keep the constraints (a ≤ 1, b ≤ 2)."),
+        ({}, "3 keep the constraints (all runs complete)."),
+        ({"allow_failures": True}, "3 keep the constraints."),
+    ],
+)
+def test_a_page_says_on_which_seeds_and_under_which_constraints(more: dict[str, Any], says: str) -> None:
+    pytest.importorskip("plotly")
+    trials = [{**t, "values": t["values"][:1], "feasible": True} for t in TRIALS]
+    page = tune_page("t", tuning(**{"seeds": "4-6", **more}), trials, trials[:1], False)
+    assert "3 trials on the seeds 4, 5, 6, which are not reported. 0 pruned" in page and says in page

@@ -11,12 +11,17 @@ import pytest
 from test_live import free_port
 
 from wbmpc import lie
+from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import load_robot
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.runtime.shared_memory import Mailbox
-from wbmpc.view.snapshot import NUMBERS
+from wbmpc.simulation.lockstep import PREPARATION, Watch, watched
+from wbmpc.view.snapshot import NUMBERS, status_text
 from wbmpc.view.steering import OBSTACLE, REQUESTS, Controls, Steering, no_requests
 
 viser = pytest.importorskip("viser")
+live = pytest.importorskip("wbmpc.view.live")
 panels = pytest.importorskip("wbmpc.view.panel")
 
 
@@ -156,3 +161,20 @@ def test_a_box_of_the_user_is_an_obstacle_of_the_plan() -> None:
     steering.skip(requests)  # another run: the last order stands
     ask(*np.zeros(8))
     assert not len(world)
+
+
+def test_a_drive_before_the_run_says_how_the_legs_stand() -> None:
+    """It has a robot with legs, and no MPC that moves them. Truth: the configuration in which this robot is at home."""
+    robot, view = load_robot("swerve-ur10"), live.View("test", port=free_port())
+    plant, still = SwervePlant(robot.description), SwerveCommand.stop()
+    try:
+        with watched(plant, 0.01, 0.4, Watch(None, (view,), PREPARATION), SimpleNamespace(robot=robot)) as tick:
+            for k in range(40):
+                tick(0.01 * k, still)
+                plant.step(still, 20)
+            controls = view._controls(None, robot, (), pushes=False)
+            value = dict(zip(NUMBERS, view.shown.read().values["numbers"], strict=True))
+        assert "legs: X" in status_text(value, controls.configurations) and not controls.legs
+        assert view.process.is_alive()
+    finally:
+        view.close()

@@ -56,12 +56,14 @@ def runs(
 
 
 def _print(found: list[Entry]) -> None:
+    from wbmpc.run_index import differing_settings
+
     rows = []
-    for run in found:
+    for run, differs in zip(found, differing_settings(found), strict=True):
         reached, judged = run.goals
         rows.append((run.directory, run.experiment, "" if run.seed is None else run.seed, f"{reached} of {judged}" if judged else "",
-                     f"{run.ended.astimezone():%Y-%m-%d %H:%M}", run.outcome))  # fmt: skip
-    _print_table(("run", "experiment", "seed", "metrics at goal", "ended", "outcome"), rows)
+                     f"{run.ended.astimezone():%Y-%m-%d %H:%M}", run.outcome, differs))  # fmt: skip
+    _print_table(("run", "experiment", "seed", "metrics at goal", "ended", "outcome", "settings"), rows)
 
 
 def _print_studies(found: list[StudyEntry]) -> None:

@@ -11,10 +11,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotWritten
 from wbmpc.json_file import load_json
 from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
+from wbmpc.run_files import flat
 from wbmpc.study.definition import Condition, Definition, load_definition
 from wbmpc.study.files import ABOUT, BEST, JOURNAL, PAGE, ROWS, STATISTICS, TRIAL_ROWS, TRIALS
 from wbmpc.study.page import study_page
@@ -22,7 +23,7 @@ from wbmpc.study.plan import Combination, Run, check_inputs, combinations, open_
 from wbmpc.study.store import Store, is_running
 from wbmpc.study.summary import Summary, summarize
 from wbmpc.study.tune_page import tune_page
-from wbmpc.study.tuning import Tuner, settings_of_trial
+from wbmpc.study.tuning import Tuner, settings_of_trial, with_settings
 from wbmpc.study.work import ERROR, LOST, execute
 from wbmpc.study.workers import Later, Pool, Row, Task, completed
 
@@ -103,7 +104,10 @@ class Study:
 
         for task, row in completed(there, execute, tasks()):
             run = going.pop(task["key"])
+            unwritten = row.pop("unwritten", False)
             store.add({**row_about(run), **row})
+            if unwritten:  # all others would be simulated for nothing
+                raise NotWritten(f"{row['reason']}; what was finished before is kept, the same command continues")
             clock.ended(run, row)
             if progress is not None:
                 progress(clock.share, clock.text(there.threads))
@@ -146,10 +150,15 @@ class Study:
         assert tune is not None
         if tuned.settings:
             about = f"{title}: the best of {len(tuned.trials)} trials on seeds {', '.join(map(str, tune.seeds))}"
-            found = {**self.definition.settings, **tuned.settings}
-            write_text(self.out / BEST, write_yaml(nested(found), {"": about}))
+            write_text(self.out / BEST, write_yaml(nested(self._shared(tuned.settings) | tuned.settings), {"": about}))
         write_text(self.out / TRIALS, json.dumps(tuned.trials, indent=1) + "\n")
         write_text(self.out / PAGE, tune_page(title, tune, tuned.trials, tuned.front, tuned.report is not None))
+
+    def _shared(self, found: Mapping[str, Any]) -> dict[str, Any]:
+        """What all experiments of the search were set to beside it: settings that are ``found`` may mean nothing without."""
+        tuned = with_settings(self.definition, found)
+        first, *rest = (flat(c.changes) for c in combinations(tuned, self.path.resolve().parent, str(self.path)))
+        return {key: value for key, value in first.items() if all(key in c and c[key] == value for c in rest)}
 
     def _task(self, run: Run) -> Task:
         """What a worker gets: names and settings, some hundred bytes."""
@@ -327,12 +336,4 @@ def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
         for section in sections:
             inner = inner.setdefault(section, {})
         inner[last] = value
-    return out
-
-
-def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by dotted key."""
-    out: dict[str, Any] = {}
-    for key, value in settings.items():
-        out |= flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) and value else {f"{prefix}{key}": value}
     return out

@@ -24,7 +24,10 @@ def tune_page(title: str, tune: Tuning, trials: Trials, front: Trials, reported:
     whole = [t for t in trials if not t["pruned"]]
     feasible = sum(t["feasible"] for t in whole)
     link = ' <a href="report/index.html">Before and after on the reporting seeds.</a>' if reported else ""
-    about = f"{len(trials)} trials, {len(trials) - len(whole)} pruned, {feasible} keep the constraints."
+    limits = ", ".join(f"{html.escape(name)} ≤ {number(most)}" for name, most in tune.constraints.items())
+    done = "" if tune.allow_failures else f"{' and ' * bool(limits)}all runs complete"
+    about = f"{len(trials)} trials on the seeds {', '.join(map(str, tune.seeds[:20]))}{', …' * (len(tune.seeds) > 20)}, which are not reported. "
+    about += f"{len(trials) - len(whole)} pruned, {feasible} keep the constraints{f' ({limits}{done})' * bool(limits or done)}."
     kind, several = "" if front else "bad", len(names) > 1
     # of several objectives there is no best over the trials
     plots = [] if several else [("Trials", _history(whole, names[0]))]

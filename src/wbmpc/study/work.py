@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import socket
 import time
@@ -13,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc import __version__
-from wbmpc.errors import InputError, RunAborted
+from wbmpc.errors import InputError, NotWritten, RunAborted
 from wbmpc.recording.recorder import Recorder
 from wbmpc.report import RECORDING, about_run, commit, outcome, write_run
 from wbmpc.result import RunResult
 from wbmpc.simulation.lockstep import Watch
-from wbmpc.study.plan import open_experiment, settings_of
+from wbmpc.study.plan import assignments, open_experiment, settings_of
 
 #: Outcomes without a result, which a study that goes on tries again: an error of the program, a worker that died.
 ERROR, LOST = "error", "lost"
@@ -41,7 +42,8 @@ def execute(task: Mapping[str, Any]) -> dict[str, Any]:
     """Do a run and return its row: outcome, metrics with units and targets, times, version, commit, host.
 
     ``task``: ``source`` of the experiment, ``changes`` of its settings, ``seed``; ``files``: directory of report and recording
-    (None: there are none), which with ``keep`` "failed" is removed again after a run that completed.
+    (None: there are none), which with ``keep`` "failed" is removed again after a run that completed. Where the disk is full the row has
+    ``unwritten``: it says nothing of the robot, and the run is to be repeated.
     """
     began, spent, started = time.perf_counter(), time.process_time(), datetime.now(UTC)
     directory = None if task["files"] is None else Path(task["files"])
@@ -49,11 +51,14 @@ def execute(task: Mapping[str, Any]) -> dict[str, Any]:
         found = _result(task, directory)
     except InputError as error:
         found = {"outcome": "rejected", "reason": str(error)}
+    except NotWritten as error:
+        found = {"outcome": ERROR, "reason": str(error), "unwritten": True}
     except RunAborted as error:
         found = {"outcome": "gave_up", "reason": str(error)}
     except Exception as error:
         found = {"outcome": ERROR, "reason": f"{type(error).__name__}: {error}"}
-    if directory is not None and found["outcome"] == "completed" and task["keep"] == "failed":
+    unwanted = "unwritten" in found or (found["outcome"] == "completed" and task["keep"] == "failed")
+    if directory is not None and unwanted:
         shutil.rmtree(directory, ignore_errors=True)
         directory = None
     about = {"version": __version__, "commit": commit(), "code": code_hash(), "host": socket.gethostname()}
@@ -71,17 +76,35 @@ def _result(task: Mapping[str, Any], directory: Path | None) -> dict[str, Any]:
     if directory is None:
         return _row(experiment.run(settings, task["seed"], None))
     shutil.rmtree(directory, ignore_errors=True)  # of a run that was killed
-    directory.mkdir(parents=True)
-    about = about_run(experiment.name, task["seed"], settings.model_dump(mode="json"))
-    recorder = Recorder(directory / RECORDING, about, RECORD_LIMIT)
     try:
-        result = experiment.run(settings, task["seed"], Watch(None, (recorder,)))
+        directory.mkdir(parents=True)
+    except OSError as error:
+        raise NotWritten(f"{directory}: cannot be written ({error.strerror})") from error
+    name, seed, plain = experiment.name, task["seed"], settings.model_dump(mode="json")
+    recorder = Recorder(directory / RECORDING, about_run(name, seed, plain), RECORD_LIMIT)
+    began, gave_up = time.perf_counter(), None
+    try:
+        try:
+            result = experiment.run(settings, seed, Watch(None, (recorder,)))
+        except RunAborted as error:
+            result, gave_up = RunResult.aborted(name, seed, str(error), plain), error
+        result.command, result.wall_time = command(task), time.perf_counter() - began
         recorder.close(outcome(result))
+        if recorder.failure:
+            raise NotWritten(recorder.failure)
         result.motion = recorder.motion
         write_run(result, directory)
     finally:
         recorder.close({"completed": "false", "reason": "an error of the program"})
+    if gave_up is not None:
+        raise gave_up
     return _row(result)
+
+
+def command(task: Mapping[str, Any]) -> str:
+    """The line that repeats a run alone."""
+    changes = [word for setting in assignments(task["changes"]) for word in ("--set", setting)]
+    return shlex.join(["wbmpc", "run", task["source"], "--seed", str(task["seed"]), *changes])
 
 
 def _row(result: RunResult) -> dict[str, Any]:

@@ -16,6 +16,8 @@ from wbmpc.types import Truth
 from wbmpc.units import by_unit, force_unit, rate_unit, with_unit
 
 Array = np.ndarray
+#: Units that plots are read in, and how many of them the model's are.
+_READ = {"m": (1e3, "mm"), "rad": (np.degrees(1.0), "°"), "rad/s": (np.degrees(1.0), "°/s")}
 
 
 class JointRecord:
@@ -75,13 +77,16 @@ class JointRecord:
             speeds = own and group in self._groups and f"{group}_velocity" not in self._robot.state
             actual = self._actual_speeds(names) if speeds else {}
             for unit, places in by_unit(layout.unit_groups[group]).items():
-                at, shown = [layout[group].start + i for i in places], [names[i] for i in places]
-                planned, limited = dict(zip(shown, u[:, at].T, strict=True)), bounds and [bounds[i] for i in at]
+                (factor, read_in), at = _READ.get(unit, (1.0, unit)), [layout[group].start + i for i in places]
+                own_names = [names[i] for i in places]
+                planned = dict(zip(own_names, factor * u[:, at].T, strict=True))
+                moved = {name: factor * actual[name] for name in own_names if name in actual}
+                limited = bounds and [(factor * bounds[i][0], factor * bounds[i][1]) for i in at]
                 title = f"{'Speeds' if actual else 'Planned inputs'}: {group}"
                 label = with_unit(
-                    {"N m": "torque", "N": "force"}.get(unit, "speed" if unit.endswith("/s") else "input"), unit
+                    {"N m": "torque", "N": "force"}.get(unit, "speed" if unit.endswith("/s") else "input"), read_in
                 )
-                plots.append(Plot(title, "time [s]", label, _pairs(shown, t, actual, planned, limited)))
+                plots.append(Plot(title, "time [s]", label, _pairs(own_names, t, moved, planned, limited)))
         return plots
 
     def _actual_speeds(self, names: Sequence[str]) -> Mapping[str, Array]:
@@ -96,7 +101,7 @@ class JointRecord:
         for group, names in self._groups.items():
             start = self._robot.state[group].start
             for unit, places in by_unit(self._robot.state.unit_groups[group]).items():
-                factor, shown = {"m": (1e3, "mm"), "rad": (np.degrees(1.0), "°")}.get(unit, (1.0, unit))
+                factor, shown = _READ.get(unit, (1.0, unit))
                 at, own = [start + i for i in places], [names[i] for i in places]
                 bounds = [(factor * limits.state_lower[i], factor * limits.state_upper[i]) for i in at]
                 actual, plan = (dict(zip(own, factor * v[:, at].T, strict=True)) for v in (state, planned))

@@ -55,7 +55,7 @@ class LiveView(Window):
         names = tuple(cost.name for cost in Steering.costs_of(mpc))
         around = mpc is not None and mpc.obstacles is not None
         legs, base = Steering.brakes_of(mpc) is not None, Steering.base_of(mpc)
-        named = () if robot is None or not legs else tuple(configurations(robot))
+        named = () if robot is None else tuple(configurations(robot))  # a page says how legs stand that it cannot move
         return Controls(self.title, names, legs, base, groups, paced, pushes, around, named)
 
 
