@@ -297,6 +297,17 @@ def test_a_heavy_torso_is_as_slow_as_the_robot_stands(tmp_path: Path) -> None:
     assert light["pan"] == pytest.approx(3.0 * 1.5)  # turns about the vertical: it tips nobody over
 
 
+def test_a_base_speeds_up_as_far_as_its_mass_is_from_the_edge(tmp_path: Path) -> None:
+    """30 kg 0.12 m behind the middle of two wheels, which have casters 0.25 m ahead and behind; hull, wheels and mass at 0, 0.1 and 0.5 m."""
+    load = (
+        '<link name="load"><inertial><origin xyz="-0.12 0 0.5"/><mass value="30"/>' + INERTIAL.split('value="1"/>')[1]
+    )
+    load += "</link>" + joint("bolt", "hull", "load", (0, 0, 0))
+    limits = load_robot(new(model(tmp_path, DIFFERENTIAL + load + mast(0.0, 0.0)))).description.limits.acceleration
+    height, behind = (2.0 * RADIUS + 30.0 * 0.5) / 33.0, 30.0 * 0.12 / 33.0
+    assert limits["left_joint"] * RADIUS == pytest.approx(0.4 * 9.81 * (0.25 - behind) / height, rel=0.01)
+
+
 def mast(mass: float, beside: float) -> str:
     """A link on a vertical axis at 2 m, whose mass [kg] is so far [m] from it."""
     inertial = INERTIAL.replace('<mass value="1"/>', f'<origin xyz="{beside} 0 0"/><mass value="{mass}"/>')

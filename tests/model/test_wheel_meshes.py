@@ -41,6 +41,26 @@ def test_a_new_robot_has_the_radius_of_its_meshes(name: str, form: str, tmp_path
     assert load_robot(out).base.geometry.radius == pytest.approx(0.093, rel=1e-3)
 
 
+@pytest.mark.parametrize(("sections", "round_too", "found"), [(8, False, 0.093), (4, True, 0.08), (4, False, RADIUS)])
+def test_a_box_that_stands_for_a_wheel_is_not_its_radius(
+    sections: int, round_too: bool, found: float, tmp_path: Path
+) -> None:
+    """Prisms of eight and of four sides as collision meshes of 0.093 m, and what is drawn: a disc of 0.08 m, or nothing."""
+    text = wheels(tmp_path, "prism.stl", "stl", 0.08)
+    if not round_too:
+        text = text.replace("<visual>", "<!--").replace("</visual>", "-->")
+    prism = trimesh.creation.cylinder(93.0, 40.0, sections=sections)
+    (tmp_path / "collision.stl").write_bytes(prism.export(file_type="stl"))
+    mesh = '<geometry><mesh filename="collision.stl" scale="0.001 0.001 0.001"/></geometry>'
+    collision = f'<collision><origin rpy="-1.5707963267948966 0 0"/>{mesh}</collision></link>'
+    for side in ("left", "right"):
+        start = text.index(f'<link name="{side}"')
+        end = text.index("</link>", start)
+        text = text[:end] + collision + text[end + len("</link>") :]
+    out = new(model(tmp_path, text + CASTER + ARM))
+    assert load_robot(out).base.geometry.radius == pytest.approx(found, rel=1e-3)
+
+
 def test_a_radius_that_contradicts_the_mesh_is_found(tmp_path: Path) -> None:
     out = new(model(tmp_path, wheels(tmp_path, "binary.stl", "stl", RADIUS) + CASTER + ARM))
     data = yaml.safe_load(out.read_text())

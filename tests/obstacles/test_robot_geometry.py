@@ -218,3 +218,41 @@ def test_sections_of_a_telescope_go_into_each_other(tmp_path: Path, second: str,
     plant.world.contacts.update(1.0)
     found = {(t.first, t.second) for t in plant.world.contacts.touches}
     assert (("tip", "tube") in found) != nested
+
+
+@pytest.mark.parametrize("lift", [0.055, 0.2])
+def test_what_overlaps_in_most_states_is_ignored_by_plans_and_simulation(tmp_path: Path, lift: float) -> None:
+    """A tip whose middle is up to ``lift`` above the first of two tubes of 0.03 and 0.01 m, from -0.055 m on: it is in it in 0.08 of 0.11 m,
+    or of 0.255 m. Truth: MuJoCo's contacts of the tip in the middle of the tube."""
+    from wbmpc.bases import base_type
+    from wbmpc.simulation.perturbation import Perturbation
+
+    wheels = "".join(
+        f'<body name="{n}" pos="0 {y} 0.1"><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/><joint name="{n}" axis="0 1 0"/></body>'
+        for n, y in (("l", 0.3), ("r", -0.3))
+    )
+    text = TELESCOPE.format(wheels=wheels, second="0 1 0").replace(
+        'size="0.2 0.02 0.02"', 'size="0.01 0.01 0.01" pos="0 0 -0.3"'
+    )
+    text = text.replace('range="-0.3 0"', 'range="-0.001 0"').replace(
+        'name="c" type="slide" axis="1 0 0" range="0 0.6"', f'name="c" type="slide" axis="0 0 1" range="-0.055 {lift}"'
+    )
+    (tmp_path / "robot.xml").write_text(text)
+    content = (
+        "name: telescope\nmodel: robot.xml\nbase: {{type: differential, body: base, wheels: [l, r], wheel_radius: 0.1}}\n"
+        "arm: {{joints: [a, b, c], tool: tool}}\nhome: {{c: {lift}}}\nlimits: {{velocity: {{l: 10, r: 10, a: 1, b: 1, c: 1}}}}\n{more}"
+    )
+    path, often = tmp_path / "robot.yaml", lift < 0.1
+    path.write_text(content.format(lift=lift, more=""))
+    listing = list_pairs(load_robot(path), 300)
+    assert (("tube", "tip") in listing.drawn) == often and (("tube", "tip") in listing.pairs) != often
+    for ignored in (False, True):
+        more = "collision: {self: {pairs: [], ignore: [[tube, tip]]}}\n" if ignored else ""
+        path.write_text(content.format(lift=lift, more=more))
+        robot = load_robot(path)
+        assert not ignored or ("tube", "tip") not in self_pairs(robot)
+        plant = base_type("differential").plant(robot, Perturbation.none(), 0)
+        plant.arrange(np.zeros(robot.state.size))
+        plant.world.refresh()
+        plant.world.contacts.update(1.0)
+        assert any({t.first, t.second} == {"tube", "tip"} for t in plant.world.contacts.touches) != ignored
