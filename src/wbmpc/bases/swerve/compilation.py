@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-_STEPS = ("odometry_step", "slip_step", "inertial_step", "brake_step", "drive_step", "tracking_step", "smooth_step", "rolling_step")
+_STEPS = (
+    "odometry_step",
+    "slip_step",
+    "inertial_step",
+    "brake_step",
+    "drive_step",
+    "tracking_step",
+    "smooth_step",
+    "rolling_step",
+)
 LIBRARY = Library(
     "swerve robot",
     packages=("bases/swerve", "kernel", "constants.py"),
