@@ -25,7 +25,10 @@ def test_it_rolls_as_numpy_says(backend: Backend, kind: int, seed: int, moving: 
     g, rng = GEOMETRIES[kind], np.random.default_rng(seed)
     leg, steer, rate = rng.uniform(-1.0, 1.0, (3, g.modules)) * np.array([[1.0], [3.0], [0.3 * moving]])
     twist = rng.uniform(-1.0, 1.0, 3) * driving
-    found, truth = ROLLING[backend][kind](leg, steer, twist, rate), rolling_inverse_kinematics(g, leg, steer, twist, rate)
+    found, truth = (
+        ROLLING[backend][kind](leg, steer, twist, rate),
+        rolling_inverse_kinematics(g, leg, steer, twist, rate),
+    )
     # the two directions of a wheel that moves straight across are a rounding apart
     near = np.abs(np.abs(truth[0] - steer) - np.pi / 2) > 1e-9
     for one, other in zip(found, truth, strict=True):
