@@ -26,6 +26,8 @@ from wbmpc.cli import main
 from wbmpc.robots.doctor import examine_robot
 
 BAD = INERTIAL.replace('iyy="0.01"', 'iyy="-1"')
+#: In kg mm², as an export in millimeters has it: a kilogram has a radius of gyration of √1e4 m.
+MILLIMETERS = INERTIAL.replace('"0.01"', '"1e4"')
 WEAK = joint("weak", "hull", "tray", (0, 0, 0.5), "0 1 0", 'lower="-1" upper="1"')
 SLIDES = link("boom_1") + joint(
     "extend_1", "hull", "boom_1", (0, 0, 1), "1 0 0", 'lower="0" upper="0.3" velocity="1"', "prismatic"
@@ -58,6 +60,11 @@ EMPTY = link("tray") + WEAK.replace('"-1" upper="1"', '"0" upper="0"')
             ARM.replace(link("fore"), f'<link name="fore">{BAD}</link>'),
             "inertia",
             ("warning: link 'fore'", "not positive", "sphere"),
+        ),
+        (
+            ARM.replace(link("fore"), f'<link name="fore">{MILLIMETERS}</link>'),
+            "inertia",
+            ("warning: link 'fore'", "radius of 100 m", "sphere"),
         ),
         (LIGHT, "inertia", ("link 'fore'", "moves and has no mass")),
         (ARM.replace(link("head"), SKIN), "meshes", ("info", "package://skin/a.stl", "packages: {skin: FOLDER}")),

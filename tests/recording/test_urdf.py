@@ -137,6 +137,20 @@ def test_joints_that_are_coupled_mimic(tmp_path: Path) -> None:
     assert mimic is not None and mimic.attrib == {"joint": "hand", "multiplier": "-0.5", "offset": "0.1"}
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_a_joint_may_be_called_like_one_without_states(own: bool, tmp_path: Path) -> None:
+    """Like a held or a floating one, or the fixed one of a named point; others that are called like each other swap. URDF: names of joints
+    are unique, and its reader rejects others."""
+    held = "arm: {joints: [rise, swing, wrist], tool: d}\nfixed_joints: {turn: -0.7}"
+    description = column(tmp_path, held) if own else load_description("rezero")
+    called = (
+        {"wrist": "turn", "rise": "swing", "swing": "rise"} if own else {"arm_elbow": "tool_fixed", "arm_yaw": "ball"}
+    )
+    before, after = (pinocchio.buildModelFromXML(to_urdf(description, joints=j)) for j in (None, called))
+    assert [called.get(n, n) for n in before.names] == [n.removesuffix("_frame") for n in after.names]
+    assert of_urdf(to_urdf(description))[1] == of_urdf(to_urdf(description, joints=called))[1]
+
+
 def test_no_link_between_two_joints_of_a_body_is_called_like_another_frame(tmp_path: Path) -> None:
     """Nor are two points on links. URDF: names of links are unique."""
     body = '<body name="turn_link"><joint name="turn" axis="0 0 1"/><joint name="tilt" axis="0 1 0"/><geom size="0.1" mass="1"/>'

@@ -3,6 +3,8 @@ and knows nothing of the view's orders, shows where the robot has gone."""
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -193,6 +195,26 @@ def test_a_stop_by_safety_is_reported_once_and_in_the_page(
     assert main(["view", "swerve-ur10", "--realtime", "--port", str(free_port())]) == 1
     assert capsys.readouterr().err.count("a test wanted it") == 1
     assert pages[0].startswith("The run is over: stopped at ") and pages[0].endswith(": a test wanted it")
+
+
+@pytest.mark.parametrize("more", [["--realtime"], []])
+def test_a_session_ends_with_the_process_of_its_page(
+    more: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The system ends processes for want of memory: the robot went on for a day, with nobody who saw it."""
+    start, guard = realtime.RealtimeView.start, threading.Timer(60.0, os.kill, (os.getpid(), signal.SIGINT))
+
+    def killed(view: Any, *arguments: Any) -> None:
+        start(view, *arguments)
+        threading.Timer(1.0, view.process.kill).start()
+        guard.start()
+
+    monkeypatch.setattr("wbmpc.view.window.Window.start", killed)
+    try:
+        assert main(["view", "panda", *more, "--port", str(free_port())]) == 1
+    finally:
+        guard.cancel()
+    assert "the process that shows the view has ended" in capsys.readouterr().err
 
 
 def test_a_robot_that_falls_after_its_stop_begins_again(monkeypatch: pytest.MonkeyPatch) -> None:

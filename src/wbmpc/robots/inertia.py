@@ -11,6 +11,8 @@ from wbmpc.robots.findings import Finding
 LIGHTEST = 1e-3
 #: Density [kg/m³] of the sphere whose inertia replaces an impossible one.
 DENSITY = 1000.0
+#: Radius of gyration [m] that no link of a robot has: an inertia in kg mm² makes 50 m of 5 cm.
+_WIDEST = 5.0
 #: MuJoCo treats smaller moments [kg m²] as zero.
 _SMALLEST = 2e-14
 #: Relative tolerance of the triangle inequality of the moments: exporters round.
@@ -61,6 +63,9 @@ def _fault(body: mujoco.MjsBody) -> str | None:
         return "its mass is negative"
     if moments[0] <= _SMALLEST:
         return "its inertia is not positive"
+    radius = float(np.sqrt(moments[2] / body.mass))
+    if radius > _WIDEST:
+        return f"its inertia is that of {body.mass:.3g} kg on a circle with a radius of {radius:.3g} m, at most {_WIDEST:g} m is possible"
     return None
 
 

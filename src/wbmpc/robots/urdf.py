@@ -32,7 +32,7 @@ def to_urdf(
     joint: it becomes a floating one, whose frame ``/tf`` has to have. Meshes and ellipsoids are left out. Of a robot's own URDF
     what is above the base is left out, links whose names are taken are renamed, joints that the robot's file holds are fixed, and
     those that it couples mimic: no joint states have them. ``joints``: what joint states call those that they do not call as the
-    robot's file does.
+    robot's file does; a joint without states whose name one of them gets is renamed.
     """
     file = file_of(description)
     if file.root is not None:
@@ -43,7 +43,8 @@ def to_urdf(
     inside = {body}
     bodies = [model.body(i).name for i in range(1, model.nbody)]
     points = fixed_frames(description, base, world)
-    taken = {base, world, MAP, *bodies, *(point.name for point in points)}
+    joined = [model.joint(j).name for j in range(model.njnt)]
+    taken = {base, world, MAP, *bodies, *joined, *(point.name for point in points)}
     for i in range(1, model.nbody):
         if i != body and int(model.body_parentid[i]) in inside:
             inside.add(i)
@@ -55,7 +56,8 @@ def to_urdf(
     for frame in points:
         if frame.parent in links:
             Xml.SubElement(root, "link", name=frame.name)
-            _joint(root, f"{frame.name}_fixed", "fixed", frame.parent, frame.name, frame.pose[:3], frame.pose[3:])
+            name = free_name(f"{frame.name}_fixed", taken)
+            _joint(root, name, "fixed", frame.parent, frame.name, frame.pose[:3], frame.pose[3:])
     _settle(root, description, joints or {})
     return _written(root)
 
@@ -120,10 +122,19 @@ def _settle(root: Xml.Element, description: RobotDescription, called: Mapping[st
             _drop(joint, "mimic")
             values = {"multiplier": f"{leads.ratio:.9g}", "offset": f"{leads.offset:.9g}"}
             Xml.SubElement(joint, "mimic", {"joint": leads.joint, **values})
+    called = {**_moved_aside(root, called), **called}
     for element in root.iter():
         for key in ("joint", "name") if element.tag == "joint" else ("joint",):
             if element.get(key) in called:
                 element.set(key, called[str(element.get(key))])
+
+
+def _moved_aside(root: Xml.Element, called: Mapping[str, str]) -> dict[str, str]:
+    """Other names of joints that joint states do not have, and whose names others are called by: names of joints are unique."""
+    names = [joint.get("name", "") for joint in root.findall("joint")]
+    given = set(called.values())
+    taken = given.union(names)
+    return {name: free_name(name, taken) for name in names if name in given and name not in called}
 
 
 def _hold(joint: Xml.Element, value: float) -> None:
@@ -170,8 +181,8 @@ def _joint(
 
 
 def _joints(root: Xml.Element, description: RobotDescription, model: mujoco.MjModel, i: int, taken: set[str]) -> None:
-    """The joints between a body and its parent, with links without mass between several, or beside the body's origin, whose names
-    are not ``taken``."""
+    """The joints between a body and its parent, with links without mass between several, or beside the body's origin; what the model
+    does not name gets names that are not ``taken``."""
     name, parent = model.body(i).name, model.body(int(model.body_parentid[i])).name
     position, quaternion = model.body_pos[i].copy(), model.body_quat[i].copy()
     first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
@@ -186,7 +197,7 @@ def _joints(root: Xml.Element, description: RobotDescription, model: mujoco.MjMo
         _movable(root, description, model, j, parent, child, at, quaternion)
         parent, position, quaternion = child, -anchor, unit
     if parent != name:
-        _joint(root, f"{name}_fixed", "fixed", parent, name, position, quaternion)
+        _joint(root, free_name(f"{name}_fixed", taken), "fixed", parent, name, position, quaternion)
 
 
 def _movable(

@@ -114,10 +114,11 @@ class RealtimeView(LiveView):
 
     # ------------------------------------------------------------------ the session's thread
     def follow(self, runner: RealTimeRunner) -> str:
-        """Start the runner and wait until the user, Ctrl-C or a safe stop ends it; returns why."""
+        """Start the runner and wait until the user, Ctrl-C or a safe stop ends it; returns why. Raises what :meth:`check_shown` does."""
         self._runner = runner
         with runner:
             while not (runner.stopped or self.ended or self.wants_reset):
+                self.check_shown()
                 time.sleep(_POLL_PERIOD)
             self.show_message(f"The run is over: {self._reason(runner)}")  # the threads' end may take a while
         self.stopped = runner.stopped

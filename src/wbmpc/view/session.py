@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 from wbmpc.bases import base_type
 from wbmpc.bases.base import System
 from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
-from wbmpc.simulation.lockstep import LONGEST_STOP, Ending, Watch, Watcher, run_lockstep
+from wbmpc.simulation.lockstep import LONGEST_STOP, Ending, Running, Watch, Watcher, run_lockstep
 from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
@@ -27,6 +29,23 @@ def system_of(robot: RobotModel, seed: int) -> System:
     return base_type(robot.description.base.type).system(robot, seed)
 
 
+class _WhileShown:
+    """Ends a session that nobody sees or steers any more, its page's process being gone."""
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+
+    def begin(self, running: Running) -> None:
+        """The view itself has begun."""
+
+    def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
+        """Look."""
+        self._view.check_shown()
+
+    def end(self, ending: Ending) -> None:
+        """The view itself says so."""
+
+
 def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> Ending:
     """Run in virtual time, paced to the clock, until the user ends it. A reset, or a fall, restarts.
 
@@ -35,7 +54,7 @@ def run_session(robot_name: str, seed: int, view: View, *others: Watcher) -> End
     robot = load_robot(robot_name)
     while True:
         view.restart()
-        watch = Watch(None, (view, *others))
+        watch = Watch(None, (view, _WhileShown(view), *others))
         ending = run_lockstep(*system_of(robot, seed).parts, LONGEST, lambda t, command, plans: None, watch)
         if not (view.wants_reset or ending.fell):
             return ending

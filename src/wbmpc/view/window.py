@@ -8,7 +8,7 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from typing import Any
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, RunAborted
 from wbmpc.interrupts import interrupts_blocked
 from wbmpc.runtime.shared_memory import Board, Fields, Mailbox
 from wbmpc.simulation.scene import Scene
@@ -57,6 +57,12 @@ class Window:
             raise InputError(f"view: the server did not start: {self.board.text or 'no answer'}")
         self.port = int(self.board["port"])
         self.opened(self.url)
+
+    def check_shown(self) -> None:
+        """Raise :class:`RunAborted` if the process has gone by itself, as the system ends one for want of memory: nobody sees or steers the
+        run any more."""
+        if self.process is not None and not self.process.is_alive():
+            raise RunAborted("the process that shows the view has ended")
 
     def show_message(self, message: str) -> None:
         """Let the page say something beside its title until something else is said; empty: nothing."""
