@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,8 +32,32 @@ LEGEND = {
 _BALL, _OPACITY = 0.05, 0.45
 #: How far the robot goes before the camera follows [m].
 FOLLOW = 0.02
-#: How long a new browser's camera is left alone [s].
-_SETTLING = 1.5
+#: How long a new browser's camera is left alone [s]; how long a browser may take to say that it has moved its camera, and how far from
+#: where it was to look it may look then [m].
+_SETTLING, _PATIENCE, _NEAR = 1.5, 3.0, 0.01
+
+
+@dataclass
+class _Camera:
+    """A browser's: where the robot was when it was moved last, from when on it may be moved [s]; and of the last move when that was, where
+    it is to look then (None: there was none), and whether the browser has said anything since."""
+
+    followed: Array
+    ready: float
+    moved: float = 0.0
+    target: Array | None = None
+    heard: bool = False
+
+    def has_moved(self, client: viser.ClientHandle, now: float) -> bool:
+        """Whether what the browser says of its camera is of after the last move: a slow one says for a while where it was before, and a move
+        from there would undo the last one."""
+        if self.target is None or now - self.moved > _PATIENCE:
+            return True
+        return self.heard and float(np.linalg.norm(client.camera.look_at - self.target)) < _NEAR
+
+    def hear(self) -> None:
+        """The browser says where its camera is."""
+        self.heard = True
 
 
 class ViewScene:
@@ -53,8 +78,8 @@ class ViewScene:
         for i, shape in enumerate(scene.shapes):
             self._shape(i, shape)
         self._followed: Array | None = None
-        #: By browser: where the robot was when its camera was moved last, and from when on it may be moved [s].
-        self._cameras: dict[int, tuple[Array, float]] = {}
+        #: By browser.
+        self._cameras: dict[int, _Camera] = {}
         self._light()
         self._lines: dict[str, Any] = {}
         self._shown: dict[str, Array] = {}
@@ -105,14 +130,15 @@ class ViewScene:
         for i, client in clients.items():
             if i not in self._cameras:
                 _aim(client, np.array(camera.position), np.array(camera.look_at))
-                self._cameras[i] = (self._followed, now + _SETTLING)
-            followed, ready = self._cameras[i]
+                self._cameras[i] = own = _Camera(self._followed, now + _SETTLING)
+                client.camera.on_update(lambda _, own=own: own.hear())
+            own = self._cameras[i]
             if not on:
-                self._cameras[i] = (place, ready)
-            elif now > ready and _far(place - followed):
-                moved = place - followed
-                _aim(client, client.camera.position + moved, client.camera.look_at + moved)
-                self._cameras[i] = (place, ready)
+                own.followed, own.target = place, None
+            elif now > own.ready and _far(place - own.followed) and own.has_moved(client, now):
+                moved, own.followed = place - own.followed, place
+                own.moved, own.target, own.heard = now, np.array(client.camera.look_at) + moved, False
+                _aim(client, client.camera.position + moved, own.target)
 
     def show(self, s: Mapping[str, Array], overlays: bool = True) -> None:
         """Draw a snapshot; only what has changed is sent. ``overlays``: also what is drawn over the bodies, which costs a
