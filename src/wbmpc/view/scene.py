@@ -55,7 +55,7 @@ class _Camera:
             return True
         return self.heard and float(np.linalg.norm(client.camera.look_at - self.target)) < _NEAR
 
-    def hear(self) -> None:
+    def hear(self, _: object) -> None:
         """The browser says where its camera is."""
         self.heard = True
 
@@ -131,7 +131,7 @@ class ViewScene:
             if i not in self._cameras:
                 _aim(client, np.array(camera.position), np.array(camera.look_at))
                 self._cameras[i] = own = _Camera(self._followed, now + _SETTLING)
-                client.camera.on_update(lambda _, own=own: own.hear())
+                client.camera.on_update(own.hear)
             own = self._cameras[i]
             if not on:
                 own.followed, own.target = place, None
