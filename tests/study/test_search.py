@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from valley import error
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError
+from wbmpc.study.files import DATABASE
 from wbmpc.study.study import Study
 
 pytest.importorskip("pyarrow")
@@ -170,3 +173,21 @@ def test_what_is_wrong_with_a_search_is_named(
     assert main(["tune", str(file), "--workers", "0", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert message in said and said.count("wbmpc:") == 1
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs a small disk of its own")
+def test_a_search_on_a_full_disk_names_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Truth: a file system of 64 kB."""
+    pytest.importorskip("optuna")
+    disk, file = tmp_path / "disk", tmp_path / "search.yaml"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)], capture_output=True).returncode:
+        pytest.skip("needs a small disk of its own")
+    try:
+        search = "search: {offset: {from: 0, to: 1}}, minimize: [{metric: error, limit: 9}], trials: 1"
+        file.write_text(f"experiments: [{HERE / 'valley.py'}]\nseeds: 1\ntune: {{seeds: 0, {search}}}\n")
+        assert main(["tune", str(file), "--workers", "0", "--out", str(disk / "out")]) == 1
+        said = capsys.readouterr().err
+        assert f"{disk / 'out' / DATABASE}: cannot be written (" in said and "tune.storage" not in said
+    finally:
+        subprocess.run(["umount", "--lazy", str(disk)], check=True)

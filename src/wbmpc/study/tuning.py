@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, NotWritten
 from wbmpc.study.definition import Definition, Search, Term, Tuning
 from wbmpc.study.files import DATABASE
 from wbmpc.study.plan import Run, check_inputs, combinations
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Trials in a row whose settings the experiments may reject.
 MAX_REJECTED = 100
+#: What SQLite says of a disk without room.
+FULL = "disk is full"
 
 
 def _optuna() -> Any:
@@ -135,6 +137,10 @@ class Tuner:
             return _optuna().storages.get_storage(address)
         except Exception as error:  # of Optuna, of SQLAlchemy, of any driver
             why = str(error).splitlines()[0] if str(error) else type(error).__name__
+            if not self.tuning.storage and FULL in why:
+                raise NotWritten(
+                    f"{self.out / DATABASE}: cannot be written ({why}); the same command continues"
+                ) from error
             raise InputError(f"{self.where}: tune.storage: '{address}' cannot be opened ({why})") from error
 
     def _check_searched(self, found: optuna.Study) -> None:
