@@ -222,8 +222,8 @@ def test_sections_of_a_telescope_go_into_each_other(tmp_path: Path, second: str,
 
 @pytest.mark.parametrize("lift", [0.055, 0.2])
 def test_what_overlaps_in_most_states_is_ignored_by_plans_and_simulation(tmp_path: Path, lift: float) -> None:
-    """A tip whose middle is up to ``lift`` above the first of two tubes of 0.03 and 0.01 m, from -0.055 m on: it is in it in 0.08 of 0.11 m,
-    or of 0.255 m. Truth: MuJoCo's contacts of the tip in the middle of the tube."""
+    """A tip of half height 0.01 m slides up and down through a tube of half height 0.03 m, from -0.055 m to ``lift``: they overlap in 0.08 m of
+    its travel of 0.11 m (most states) or 0.255 m (few). Truth: MuJoCo's contacts with the tip in the middle of the tube."""
     from wbmpc.bases import base_type
     from wbmpc.simulation.perturbation import Perturbation
 

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Rolling:
-    """:func:`wbmpc.model.wheels.rolling_inverse_kinematics` of one base, in a tenth of its time. ``backend``: machine code
+    """:func:`wbmpc.model.wheels.rolling_inverse_kinematics` of one base, without NumPy's cost of each operation. ``backend``: machine code
     (:mod:`wbmpc.bases.swerve.rolling_step`), or the same source as ordinary Python."""
 
     def __init__(self, geometry: ModuleGeometry, backend: Backend = "compiled") -> None:
