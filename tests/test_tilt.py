@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from wbmpc import lie
 from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
-from wbmpc.model.robot import load_robot
+from wbmpc.model.robot import RobotModel, load_robot
 
 GRAVITY = 9.81
 
@@ -20,17 +21,21 @@ def rotation(lean: np.ndarray) -> np.ndarray:
     return np.asarray(lie.quaternion_to_rotation(lie.quaternion_about(lean / size, size)))
 
 
-def test_the_lean_and_the_gyros_biases_are_found_while_the_base_drives() -> None:
-    """A base that leans by 8 and -5 mrad turns at 0.3 rad/s about the vertical and goes faster and slower."""
-    rng, h, tilt, lean = np.random.default_rng(0), 0.0025, TiltFilter(), np.array([0.008, -0.005, 0.0])
+@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.1)])
+def test_the_lean_and_the_gyros_biases_are_found_while_the_base_drives(mount: tuple[float, float, float]) -> None:
+    """A base that leans by 8 and -5 mrad turns about the vertical and goes faster and slower, with the inertial unit beside its middle."""
+    rng, h, tilt, lean = np.random.default_rng(0), 0.0025, TiltFilter(mount), np.array([0.008, -0.005, 0.0])
     up = rotation(lean).T @ [0.0, 0.0, 1.0]
     bias = np.array([0.008, -0.006, 0.0])
     for k in range(round(30.0 / h)):
         v = 0.2 * np.sin(0.5 * k * h)
-        own = np.array([0.1 * np.cos(0.5 * k * h), 0.3 * v, 0.0])
-        gyro = 0.3 * up + bias + 2e-4 / np.sqrt(h) * rng.normal(size=3)
+        turning, change = 0.5 + 0.5 * np.cos(k * h), -0.5 * np.sin(k * h)
+        about, place = turning * np.array([0.0, 0.0, 1.0]), np.array(mount)
+        own = np.array([0.1 * np.cos(0.5 * k * h), turning * v, 0.0])
+        own += np.cross([0.0, 0.0, change], place) + np.cross(about, np.cross(about, place))
+        gyro = turning * up + bias + 2e-4 / np.sqrt(h) * rng.normal(size=3)
         accel = GRAVITY * up + own + 1e-3 / np.sqrt(h) * rng.normal(size=3)
-        tilt.update(h, gyro, accel, [v, 0.0, 0.3])
+        tilt.update(h, gyro, accel, [v, 0.0, turning])
     np.testing.assert_allclose(tilt.turned, lean, atol=5e-4)
 
 
@@ -78,6 +83,29 @@ def test_the_base_makes_up_for_a_lean_where_the_arm_cannot(tmp_path: Path) -> No
     tilted = rotation(lean) @ at
     assert tilted[0] - at[0] == pytest.approx(0.02 * 0.9, rel=0.02)
     np.testing.assert_allclose(robot.pose(LevelArm(robot)(robot.home, lean))[0], tilted, atol=4e-4)
+
+
+def test_the_simulated_inertial_unit_is_where_the_file_has_it(tmp_path: Path) -> None:
+    """Truth: centripetal acceleration of a base that turns in place, ω² r towards its middle, with a link "imu" that has other axes."""
+    from wbmpc.bases import base_type
+    from wbmpc.bases.planar_motion.messages import PlanarCommand
+    from wbmpc.bases.planar_motion.model import planar_base
+    from wbmpc.simulation.any_perturbation import AnyPerturbation
+
+    source = load_robot("mecanum-ur10").description
+    body, spec = source.base.body, mujoco.MjSpec.from_file(str(source.model))
+    spec.body(body).add_body(name="imu", pos=[0.2, -0.1, 0.0], quat=[0.7071, 0.0, 0.0, 0.7071])
+    (tmp_path / "robot.xml").write_text(spec.to_xml())
+    robot = RobotModel(source.model_copy(update={"model": tmp_path / "robot.xml"}))
+    assert robot.inertial_unit == pytest.approx([0.2, -0.1, 0.0])
+    plant = base_type("omnidirectional").plant(robot, AnyPerturbation.none(), 0)
+    command, seen = PlanarCommand(planar_base(robot).rates @ [0.0, 0.0, 0.5], np.zeros(6)), []
+    for k in range(300):
+        plant.step(command, round(0.01 / plant.timestep))
+        seen += [plant.measure()] if k >= 150 else []
+    rate = np.mean([m.gyro[2] for m in seen])
+    assert rate == pytest.approx(0.5, rel=0.1)
+    assert np.mean([m.accel[:2] for m in seen], axis=0) == pytest.approx([-(rate**2) * 0.2, rate**2 * 0.1], abs=0.01)
 
 
 def test_a_simulated_robot_on_soft_casters_knows_its_lean_and_one_on_rigid_wheels_needs_none() -> None:

@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from effort import draws
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, FOLLOW, MIN_SHARE, NEAR
@@ -66,22 +69,55 @@ def test_sound_wheels_count_in_full(inertial_unit: bool) -> None:
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_the_step(backend: Backend) -> None:
     """Truth: NumPy's algebra for a gyro without tilts."""
-    rng, seen = np.random.default_rng(5), np.zeros(8)
-    found = InertialVelocity(seen, backend)
+    rng, seen, mount = np.random.default_rng(5), np.zeros(8), np.array([0.2, -0.1, 0.3])
+    found = InertialVelocity(seen, mount, backend)
     v, average, zero = np.zeros(2), np.zeros(2), np.zeros(2)
     for _ in range(50):
         seen[:], accel, rate = 0.05 * rng.normal(size=8), rng.normal(size=2), float(rng.normal())
         known = rng.uniform(size=4) < 0.3
         assert found.update(H, np.array([0.0, 0.0, rate]), np.array([*accel, 9.81]), rate, known)
         v = v + H * (accel - zero + rate * np.array([v[1], -v[0]]))
-        average = average + (1.0 - np.exp(-H / OVER)) * (v - average)
+        origin = v - rate * np.array([-mount[1], mount[0]])
+        average = average + (1.0 - np.exp(-H / OVER)) * (origin - average)
         off = seen.reshape(4, 2) - average
         weights = 1.0 / (1.0 + np.sum(off**2, axis=1) / NEAR**2)
         weights = np.where(known, np.minimum(weights, 0.05), weights)
         step = H / FOLLOW * max(weights.mean(), MIN_SHARE) * (weights @ off) / weights.sum()
         v, average, zero = v + step, average + step, zero - step / ACCELERATION_ZEROS
         np.testing.assert_allclose(found.weights, weights, rtol=1e-9)
-        np.testing.assert_allclose(found.velocity, v, atol=1e-12)
+        np.testing.assert_allclose(found.velocity, v - rate * np.array([-mount[1], mount[0]]), atol=1e-12)
+
+
+@given(
+    mount=st.tuples(*[st.floats(-0.5, 0.5)] * 2), speed=st.floats(-1.5, 1.5), rate=st.floats(-1.5, 1.5), pace=st.floats(0.5, 4.0)
+)  # fmt: skip
+@settings(max_examples=draws(20, 200), deadline=None)
+def test_wheels_that_roll_count_in_full_wherever_the_inertial_unit_is(
+    mount: tuple[float, float], speed: float, rate: float, pace: float
+) -> None:
+    """Truth: rigid-body kinematics of a base that drives and turns, whose wheels all roll."""
+    seen, place = np.zeros(8), np.array([*mount, 0.1])
+    found, least = InertialVelocity(seen, place), 1.0
+    for k in range(1, 800):
+        t = (k - 0.5) * H
+        v, a = speed * np.sin(pace * t), speed * pace * np.cos(pace * t)
+        w, change = rate * np.sin(0.7 * pace * t), 0.7 * pace * rate * np.cos(0.7 * pace * t)
+        accel = np.array([a, w * v, 9.81]) + np.cross([0, 0, change], place)
+        accel += np.cross([0, 0, w], np.cross([0, 0, w], place))
+        seen += (1.0 - np.exp(-H / OVER)) * (np.tile([v + 0.5 * H * a, 0.0], 4) - seen)
+        found.update(H, np.array([0.0, 0.0, w]), accel, w, None)
+        least = min(least, float(found.weights.min()))
+    assert least > 0.8
+    assert found.velocity == pytest.approx([v, 0.0], abs=0.01)
+
+
+def test_an_inertial_unit_on_the_arm_has_no_place_on_the_base() -> None:
+    """Truth: the model's frames. The unit of this robot is 0.249 m ahead of its base."""
+    tree, body = ROBOT.tree, ROBOT.description.base.body
+    assert tree.place_on(body, "imu")[0] == pytest.approx([0.24875, 0.0, -0.06])
+    assert tree.place_on(body, body)[0] == pytest.approx(np.zeros(3))
+    assert tree.place_on(body, ROBOT.tool) is None
+    assert tree.place_on(body, "no such frame") is None
 
 
 def test_without_gravity_there_is_no_inertial_unit_and_gaps_restart() -> None:

@@ -136,6 +136,12 @@ class RobotModel:
         """Bounds of state and input."""
         return self.base.limits(self.description)
 
+    @cached_property
+    def inertial_unit(self) -> Array:
+        """Position (3) [m] of the inertial unit, the frame "imu", in axes of the base; its origin where no such frame is fixed to it."""
+        place = self.tree.place_on(self.description.base.body, "imu")
+        return np.zeros(3) if place is None else place[0]
+
     def dynamics(self) -> Dynamics:
         """The equations of motion, for an optimal control problem."""
         return Dynamics(self.base)

@@ -79,6 +79,20 @@ class Tree:
         """Units of the positions of joints: "m" of those that slide, "rad" of the others."""
         return tuple("m" if self.links[self.joint(n)].kind == "prismatic" else "rad" for n in names)
 
+    def place_on(self, body: str, frame: str) -> tuple[np.ndarray, np.ndarray] | None:
+        """Position (3) [m] and rotation (3, 3) of a frame in the axes of a body; None where it is not fixed to it, or there is no such
+        frame."""
+        if frame not in self.frames:
+            return None
+        own, link = self.frames[frame], self.frames[body].link
+        at, position, rotation = own.link, np.asarray(own.position, float), own.rotation
+        while at != link:
+            child = self.links[at]
+            if child.joint is not None or child.parent < 0:
+                return None
+            at, position, rotation = child.parent, child.position + child.rotation @ position, child.rotation @ rotation
+        return position, rotation
+
     def zero_poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Position (3) [m] and rotation (3, 3) of every link in the root's frame at zero joint values."""
         poses: list[tuple[np.ndarray, np.ndarray]] = []

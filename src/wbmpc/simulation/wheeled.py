@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from wbmpc.bases.base import WHEELS
+from wbmpc.model.tree import read_tree
 from wbmpc.simulation.arm import ArmPlant, span
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
@@ -83,7 +84,9 @@ class WheeledPlant(ArmPlant):
     def _add_imu(self, spec: mujoco.MjSpec) -> None:
         site = "imu" if any(s.name == "imu" for s in spec.sites) else "wbmpc_imu"
         if site == "wbmpc_imu":
-            spec.body(self.base.body).add_site(name=site)
+            linked = any(b.name == "imu" for b in spec.bodies)
+            place = read_tree(spec, self.base.body).place_on(self.base.body, "imu") if linked else None
+            spec.body(self.base.body).add_site(name=site, pos=np.zeros(3) if place is None else place[0])
         for name, kind in (("gyro", mujoco.mjtSensor.mjSENS_GYRO), ("accel", mujoco.mjtSensor.mjSENS_ACCELEROMETER)):
             spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 

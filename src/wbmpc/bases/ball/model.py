@@ -101,19 +101,15 @@ class BallBase:
 
     def _mount(self, description: RobotDescription) -> Array:
         """Position (3) [m] of the inertial unit, the frame ``imu``, in the base's frame; the origin without one."""
-        frame = self.tree.frames.get("imu")
-        if frame is None:
+        if "imu" not in self.tree.frames:
             return np.zeros(3)
-        link, position, rotation = frame.link, np.asarray(frame.position, float), frame.rotation
-        while link > 4 and self.tree.links[link].joint is None:  # a link of its own, without a joint
-            own = self.tree.links[link]
-            link, position, rotation = own.parent, own.position + own.rotation @ position, own.rotation @ rotation
-        if link != 4 or not np.allclose(rotation, np.eye(3), atol=1e-6):
+        place = self.tree.place_on(self.base.body, "imu")
+        if place is None or not np.allclose(place[1], np.eye(3), atol=1e-6):
             raise InputError(
                 f"{description.model}: frame 'imu': the inertial unit of a base of type ball needs to be fixed to "
                 f"'{self.base.body}' with the same axes"
             )
-        return position
+        return place[0]
 
     def _contacts(self, tool: str) -> dict[str, dict[str, str]]:
         """By frame the input groups of what acts there."""

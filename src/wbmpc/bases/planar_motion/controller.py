@@ -44,7 +44,7 @@ class PlanarController:
         self.odometry = self.make_odometry(robot, pose, wheels)
         footprint = robot.base.footprint
         soft = use_gyro and footprint is not None and not footprint.even
-        self.tilt: TiltFilter | None = TiltFilter() if soft else None
+        self.tilt: TiltFilter | None = TiltFilter(robot.inertial_unit) if soft else None
         self._level: LevelArm | None = LevelArm(robot) if soft else None
         self._moving = robot.input["base"]  # the inputs that turn wheels
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0

@@ -28,17 +28,19 @@ class TiltFilter:
     """Kalman filters for the lean about the x and y axes of the base, each with the bias of its gyro.
 
     ``up`` (2): x and y, in axes of the base, of the unit vector that points up; 0 of a level base. Its rate is −ω × up; the accelerometer
-    shows gravity along it, and the base's own acceleration, which is subtracted as its drives make it of the commands.
+    shows gravity along it, and its own acceleration at ``mount`` (3) [m] in axes of the base, which is subtracted as the drives make it of
+    the commands.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, mount: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        self._mount = np.asarray(mount, float).tolist()
         self._up, self._lean = (
             [0.0, 0.0],
             [0.0, 0.0],
         )  # numbers of Python: an array of two costs more than what is done with it
         self._bias = [0.0, 0.0]  # of ω_y and −ω_x: what turns up[0] back, and up[1]
         self._variances = LEAN**2, 0.0, BIAS**2  # of lean, of both, of bias: the same of both filters
-        self._speed: tuple[float, float] | None = None
+        self._twist: tuple[float, float, float] | None = None
 
     @property
     def up(self) -> Array:
@@ -55,11 +57,16 @@ class TiltFilter:
         axes."""
         (turn_x, turn_y, turn_z), (accel_x, accel_y, _) = np.asarray(gyro).tolist(), np.asarray(accel).tolist()
         vx, vy, turning = np.asarray(twist).tolist()
-        last, self._speed = self._speed, (vx, vy)
+        last, self._twist = self._twist, (vx, vy, turning)
         if h <= 0.0 or last is None:
             return
         gain, bias_gain = self._gains(h)
-        own = (vx - last[0]) / h - turning * vy, (vy - last[1]) / h + turning * vx
+        ahead, aside, _ = self._mount
+        change = (turning - last[2]) / h
+        own = (
+            (vx - last[0]) / h - turning * (vy + turning * ahead) - change * aside,
+            (vy - last[1]) / h + turning * (vx - turning * aside) + change * ahead,
+        )
         (x, y), slow = self._up, min(h / SLOW, 1.0)
         rates = turn_z * y - turn_y, turn_x - turn_z * x
         for k, (rate, shown) in enumerate(zip(rates, (accel_x - own[0], accel_y - own[1]), strict=True)):

@@ -83,7 +83,7 @@ class SwerveEstimator:
             steer_offset=wheels.steer_offset,
         )
         self._odd = SlippingWheels(geometry, self.wheels_alone) if settings.reject_slipping_wheels else None
-        self._inertial = None if self._odd is None else InertialVelocity(self._odd.seen)
+        self._inertial = None if self._odd is None else InertialVelocity(self._odd.seen, robot.inertial_unit)
         self._arm_offset = settings.arm_offset
         self._smoothing: Smoothing | None = None
         if settings.smoothing > 0.0:

@@ -23,11 +23,11 @@ ANNOUNCED = 0.05
 @step
 def inertial_velocity(
     n: int, seen: Floats, announced: Floats, gyro: Floats, accel: Floats, inertial: Floats, averaged: Floats, zero: Floats,
-    tilt: Floats, rate_zero: Floats, weights: Floats, over: float, h: float, yaw_rate: float,
+    tilt: Floats, rate_zero: Floats, weights: Floats, mount: Floats, over: float, h: float, yaw_rate: float,
 ) -> None:  # fmt: skip
-    """Over h [s] with readings ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²], and ``yaw_rate`` [rad/s] without its bias: the body's
-    ``inertial`` velocity (2) [m/s], the same ``averaged`` (2) over a time ``over`` [s] as velocities ``seen`` (n, 2) by wheels are, and
-    ``weights`` (n) of the wheels. ``announced`` (n): 1 for wheels that are known to slip; ``tilt`` (2) [rad] about x and y,
+    """Over h [s] with readings ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²], and ``yaw_rate`` [rad/s] without its bias: the
+    ``inertial`` velocity (2) [m/s] of the unit at ``mount`` (2) [m], the body's ``averaged`` (2) over a time ``over`` [s] as velocities
+    ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels. ``announced`` (n): 1 for wheels that are known to slip; ``tilt`` (2) [rad] about x and y,
     ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are memory."""
     rests = max(abs(inertial[0]), abs(inertial[1])) < REST
     for j in range(2):
@@ -37,8 +37,8 @@ def inertial_velocity(
     inertial[0] += h * (accel[0] + GRAVITY * tilt[1] - zero[0] + yaw_rate * y)
     inertial[1] += h * (accel[1] - GRAVITY * tilt[0] - zero[1] - yaw_rate * x)
     share = 1.0 - np.exp(-h / over)
-    for j in range(2):
-        averaged[j] += share * (inertial[j] - averaged[j])
+    averaged[0] += share * (inertial[0] + yaw_rate * mount[1] - averaged[0])
+    averaged[1] += share * (inertial[1] - yaw_rate * mount[0] - averaged[1])
     total, ahead, aside = 0.0, 0.0, 0.0
     for i in range(n):
         off_x, off_y = seen[2 * i] - averaged[0], seen[2 * i + 1] - averaged[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.swerve.inertial_step import inertial_velocity
 from wbmpc.bases.swerve.slipping_wheels import OVER
@@ -20,28 +20,34 @@ GAP = 0.1
 
 class InertialVelocity:
     """Velocity of a base by accelerations and rates, which the wheels correct as far as they are near it. ``seen`` (n, 2) [m/s]: the
-    base's velocity by each wheel, an array that goes on. ``weights`` (n): 1 for wheels that go with the base, less for
+    base's velocity by each wheel, an array that goes on. ``mount`` (3) [m]: where the inertial unit is, in axes of the base. ``weights`` (n): 1 for wheels that go with the base, less for
     others. ``backend``: machine code, or the same source as ordinary Python.
 
     Tires slip within tenths of a second; meanwhile the integral of accelerations is off by a few mm/s. What lasts (zeros, tilt
     of the floor) is learned from the wheels.
     """
 
-    def __init__(self, seen: Array, backend: Backend = "compiled") -> None:
+    def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), backend: Backend = "compiled") -> None:
         n = seen.size // 2
+        self._mount, self._yaw_rate = np.array(mount, float), 0.0
         pairs = ("inertial", "averaged", "zero", "tilt", "rate_zero")
         self.weights, self._announced, self._arrays = np.ones(n), np.zeros(n), {name: np.zeros(2) for name in pairs}
         self._gyro, self._accel, self._seen = np.zeros(3), np.zeros(3), seen
         arrays = {
             **self._arrays, "seen": seen, "weights": self.weights, "announced": self._announced, "gyro": self._gyro,
-            "accel": self._accel,
+            "accel": self._accel, "mount": self._mount,
         }  # fmt: skip
         self._step = bind(inertial_velocity, arrays, backend, n=n, over=OVER)
 
     @property
+    def _lever(self) -> Array:
+        """Velocity (2) [m/s] of the inertial unit by a yaw rate of 1 rad/s."""
+        return np.array([-self._mount[1], self._mount[0]])
+
+    @property
     def velocity(self) -> Array:
-        """(2) [m/s] in axes of the base."""
-        return self._arrays["inertial"].copy()
+        """(2) [m/s] of the base's origin, in axes of the base."""
+        return self._arrays["inertial"] - self._yaw_rate * self._lever
 
     def update(self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None) -> bool:
         """Over h [s] to a message: ``gyro`` (3) [rad/s], ``accel`` (3) [m/s²], mean ``yaw_rate`` [rad/s] without its bias; ``announced`` (n):
@@ -49,9 +55,10 @@ class InertialVelocity:
         if not (NO_GRAVITY < math.hypot(*accel.tolist()) < BROKEN and math.hypot(*gyro.tolist()) < BROKEN):
             return False
         if not 0.0 < h < GAP:
-            self._arrays["inertial"][:] = self._arrays["averaged"][:] = self._seen.reshape(-1, 2).mean(axis=0)
+            self._arrays["averaged"][:] = self._seen.reshape(-1, 2).mean(axis=0)
+            self._arrays["inertial"][:] = self._arrays["averaged"] + yaw_rate * self._lever
             return False
-        self._gyro[:], self._accel[:] = gyro, accel
+        self._gyro[:], self._accel[:], self._yaw_rate = gyro, accel, yaw_rate
         self._announced[:] = 0.0 if announced is None else announced
         self._step(h, yaw_rate)
         return True
