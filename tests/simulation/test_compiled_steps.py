@@ -26,13 +26,16 @@ def test_the_arm_s_weight_goes_to_its_joints_alone(backend: Backend) -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_last_positions_are_kept_in_a_ring(backend: Backend) -> None:
     rng, places, newest, qpos = np.random.default_rng(1), np.array([3, 0]), np.zeros(2, dtype=np.int64), np.zeros(5)
-    history = np.zeros((4, 2))
+    history, sensordata, sums, total = np.zeros((4, 2)), np.zeros(6), np.zeros(3), np.zeros(3)
     arrays = {"places": places, "qpos": qpos, "history": history.reshape(-1), "newest": newest}
-    step, seen = bind(keep, arrays, backend, n=2, rows=4).call, []
+    arrays |= {"sensors": np.array([4, 1]), "sensordata": sensordata, "sums": sums}
+    step, seen = bind(keep, arrays, backend, n=2, rows=4, felt=2).call, []
     for k in range(11):
-        qpos[:] = rng.normal(size=5)
+        qpos[:], sensordata[:] = rng.normal(size=5), rng.normal(size=6)
         seen.append(qpos[places])
         step()
+        total += [sensordata[4], sensordata[1], 1.0]
+        np.testing.assert_allclose(sums, total, rtol=1e-15)
         assert newest[1] == min(k + 1, 4)
         for age in range(newest[1]):
             assert np.array_equal(history[(newest[0] - age) % 4], seen[-1 - age])

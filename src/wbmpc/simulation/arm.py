@@ -117,7 +117,14 @@ class ArmPlant(WorldAccess):
         n, rows = len(self._all), 1 + self._ages
         self._history, self._newest = np.zeros((rows, n)), np.zeros(2, dtype=np.int64)
         ring = {"places": self._all.astype(np.int64), "qpos": d.qpos, "history": self._history, "newest": self._newest}
-        self._keep: Callable[[], None] = bind(keep, ring, n=n, rows=rows).call
+        sensors = np.array(self._averaged(), dtype=np.int64)
+        self._sums = np.zeros(len(sensors) + 1)
+        ring |= {"sensors": sensors, "sensordata": d.sensordata, "sums": self._sums}
+        self._keep: Callable[[], None] = bind(keep, ring, n=n, rows=rows, felt=len(sensors)).call
+
+    def _averaged(self) -> list[int]:
+        """Places of MuJoCo's sensors of which a message has the mean since the one before."""
+        return []
 
     def settle(self, seconds: float) -> None:
         """Come to rest before time 0, coupled joints where their leaders are."""

@@ -14,10 +14,16 @@ def carry(m: int, dofs: Integers, qfrc_bias: Floats, qfrc_applied: Floats) -> No
 
 
 @step
-def keep(n: int, rows: int, places: Integers, qpos: Floats, history: Floats, newest: Integers) -> None:
+def keep(
+    n: int, rows: int, felt: int, places: Integers, qpos: Floats, history: Floats, newest: Integers, sensors: Integers,
+    sensordata: Floats, sums: Floats,
+) -> None:  # fmt: skip
     """The positions of n joints at ``places`` become the newest of the last ``rows`` ones, a ring: ``newest`` (2) is the number of its row,
-    and how many are kept."""
+    and how many are kept. What the ``sensors`` (felt) show goes to ``sums`` (felt + 1), whose last entry counts."""
     newest[0] = (newest[0] + 1) % rows
     newest[1] = min(newest[1] + 1, rows)
     for i in range(n):
         history[newest[0] * n + i] = qpos[places[i]]
+    for i in range(felt):
+        sums[i] += sensordata[sensors[i]]
+    sums[felt] += 1.0

@@ -107,6 +107,10 @@ class WheeledPlant(ArmPlant):
         self._bias = np.concatenate([draw.gyro_bias, draw.accel_bias])
         self._density = np.repeat([p.gyro_noise, p.accel_noise], 3), np.repeat([p.gyro_walk, p.accel_walk], 3)
 
+    def _averaged(self) -> list[int]:
+        """The accelerometer, whose filter lets no vibrations through."""
+        return [int(i) for i in np.arange(self.model.nsensordata)[self._imu][3:]]
+
     def counts(self, group: str) -> int:
         """Those of the arm, or of the base."""
         return self.perturbation.arm_counts if group == "arm" else self.perturbation.encoder_counts
@@ -123,11 +127,15 @@ class WheeledPlant(ArmPlant):
         return read
 
     def inertial(self) -> dict[str, Array]:
-        """ "gyro" [rad/s] and "accel" [m/s²] (3 each) with walking biases and the noise of a sample that stands for the time since the
-        last message."""
+        """ "gyro" [rad/s] now and "accel" [m/s²], the mean since the last message (3 each), with walking biases and the noise of a sample that
+        stands for that time."""
         interval = _IMU_INTERVAL if self._last is None else self.time - self._last.time
         (noise, walk), root = self._density, math.sqrt(interval)
         draws = self._noise.normal(size=(2, 2, 3))
         self._bias = self._bias + walk * root * draws[:, 0].ravel()
-        reading: Array = self.data.sensordata[self._imu] + self._bias + noise / root * draws[:, 1].ravel()
+        shown = self.data.sensordata[self._imu].copy()
+        if self._sums[3] > 0.0:
+            shown[3:] = self._sums[:3] / self._sums[3]
+        self._sums[:] = 0.0
+        reading: Array = shown + self._bias + noise / root * draws[:, 1].ravel()
         return {"gyro": reading[:3], "accel": reading[3:]}

@@ -84,6 +84,7 @@ class SwerveEstimator:
         )
         self._odd = SlippingWheels(geometry, self.wheels_alone) if settings.reject_slipping_wheels else None
         self._inertial = None if self._odd is None else InertialVelocity(self._odd.seen, robot.inertial_unit)
+        self._coasting: Array | None = None  # velocity (2) [m/s] by the inertial unit, while wheels slip
         self._arm_offset = settings.arm_offset
         self._smoothing: Smoothing | None = None
         if settings.smoothing > 0.0:
@@ -106,7 +107,7 @@ class SwerveEstimator:
         weights, known = self._wheel_weights(h, sample[0], turning), self._known
         if known is not None:
             weights = known if weights is None else weights * known
-        self.odometry.advance(m.time, sample, turning, weights=weights)
+        self.odometry.advance(m.time, sample, turning, weights=weights, velocity=self._coasting)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
         if self._smoothing is not None:
@@ -128,10 +129,15 @@ class SwerveEstimator:
         rate = None if turning is None else turning - self.odometry.gyro_bias
         odd.update(h, leg, None if rate is None else rate * h, known)
         assert self.measured is not None
-        if rate is None or not inertial.update(h, self.measured.gyro, self.measured.accel, rate, known):
+        self._coasting = None
+        if rate is None or not inertial.update(
+            h, self.measured.gyro, self.measured.accel, rate, known, not odd.contradictory
+        ):
             return self._weights()
-        slips = odd.contradictory or (known is not None and known.any())
-        return np.maximum(inertial.weights, SLIP_WEIGHT) if slips else None
+        if not odd.contradictory and (known is None or not known.any()):
+            return None
+        self._coasting = inertial.velocity
+        return np.maximum(inertial.weights, SLIP_WEIGHT)
 
     def _weights(self) -> Array | None:
         """The same where there is no accelerometer."""

@@ -37,6 +37,8 @@ GAP_SHARE, GAP_SPEED = 0.1, 0.02
 #: Wheels that moved farther [m], and faster [m/s], than any base does: their encoders count from zero again, and the base stood by
 #: :data:`LEAP_STD` [m, and over the wheels' distance rad].
 LEAP, LEAP_SPEED, LEAP_STD = 0.5, 20.0, 0.1
+#: Weight of a velocity by an inertial unit beside wheels, of which each has 1 if it goes as the unit does.
+INERTIAL_WEIGHT = 0.3
 #: A gap over which the clock was no clock counts as one of this length [s].
 UNKNOWN_GAP = 1.0
 
@@ -214,8 +216,10 @@ class FusedOdometry:
         gyro: float | None = None,
         brake: ArrayLike | None = None,
         weights: ArrayLike | None = None,
+        velocity: Array | None = None,
     ) -> Array:
-        """As :meth:`update`, after true positions that :class:`WheelOdometry` with the same zeros has checked."""
+        """As :meth:`update`, after true positions that :class:`WheelOdometry` with the same zeros has checked. ``velocity`` (2) [m/s]: of
+        the base's origin in its axes, by an inertial unit; it counts like a part of a wheel (:data:`INERTIAL_WEIGHT`)."""
         arrays, time = self._memory.arrays, self.time
         if not math.isfinite(t) or t < time or (gyro is not None and not math.isfinite(gyro)):
             raise InputError(
@@ -223,6 +227,9 @@ class FusedOdometry:
             )
         weighed = None if weights is None else self._checked_weights(weights)
         h, is_open = t - time, self._opened(brake)
+        arrays["inertial"][2] = 0.0
+        if velocity is not None:
+            arrays["inertial"][:2], arrays["inertial"][2] = velocity, INERTIAL_WEIGHT
         np.concatenate(sample, out=arrays["now"])
         if not self._started:
             self._start(t, 0.0 if gyro is None else gyro)

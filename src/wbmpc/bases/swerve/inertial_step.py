@@ -12,10 +12,11 @@ from wbmpc.kernel.ir import Floats
 #: Time [s] over which tilts are forgotten; over which the rates' zeros are learned by a base at rest, and by one that moves; speed
 #: [m/s] of a base at rest.
 TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005
-#: Times [s] in which the velocity goes to the wheels', and in which accelerations' zeros are learned.
-FOLLOW, ACCELERATION_ZEROS = 0.05, 3.0
-#: A wheel whose velocity is off by this [m/s] counts half; share of the correction that is left where no wheel is near.
-NEAR, MIN_SHARE = 0.02, 0.05
+#: Times [s] in which the velocity goes to that of wheels which agree, and of wheels that contradict each other; in which accelerations'
+#: zeros are learned.
+FOLLOW, COAST, ACCELERATION_ZEROS = 0.05, 1.0, 3.0
+#: A wheel whose velocity is off by this [m/s] counts half.
+NEAR = 0.02
 #: What a wheel counts at most of which the controller knows that it slips.
 ANNOUNCED = 0.05
 
@@ -23,11 +24,12 @@ ANNOUNCED = 0.05
 @step
 def inertial_velocity(
     n: int, seen: Floats, announced: Floats, gyro: Floats, accel: Floats, inertial: Floats, averaged: Floats, zero: Floats,
-    tilt: Floats, rate_zero: Floats, weights: Floats, mount: Floats, over: float, h: float, yaw_rate: float,
+    tilt: Floats, rate_zero: Floats, weights: Floats, mount: Floats, over: float, h: float, yaw_rate: float, calm: bool,
 ) -> None:  # fmt: skip
     """Over h [s] with readings ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²], and ``yaw_rate`` [rad/s] without its bias: the
     ``inertial`` velocity (2) [m/s] of the unit at ``mount`` (2) [m], the body's ``averaged`` (2) over a time ``over`` [s] as velocities
-    ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels. ``announced`` (n): 1 for wheels that are known to slip; ``tilt`` (2) [rad] about x and y,
+    ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that go as the unit does. ``calm``: the wheels agree, and the velocity follows them, but
+    for those ``announced`` (n), 1 for wheels that are known to slip; else it follows those near it, and slowly. ``tilt`` (2) [rad] about x and y,
     ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are memory."""
     rests = max(abs(inertial[0]), abs(inertial[1])) < REST
     for j in range(2):
@@ -43,14 +45,16 @@ def inertial_velocity(
     for i in range(n):
         off_x, off_y = seen[2 * i] - averaged[0], seen[2 * i + 1] - averaged[1]
         weights[i] = 1.0 / (1.0 + (off_x * off_x + off_y * off_y) / (NEAR * NEAR))
-        if announced[i] > 0.5:
-            weights[i] = min(weights[i], ANNOUNCED)
-        total += weights[i]
-        ahead += weights[i] * off_x
-        aside += weights[i] * off_y
-    gain = h / FOLLOW * max(total / n, MIN_SHARE) / max(total, 1e-9)
+        share = weights[i]
+        if calm:
+            share = ANNOUNCED if announced[i] > 0.5 else 1.0
+        total += share
+        ahead += share * off_x
+        aside += share * off_y
+    gain = h / FOLLOW / max(total, 1e-9) if calm else h / COAST / n
     for j in range(2):
         off = gain * (ahead if j == 0 else aside)
         inertial[j] += off
         averaged[j] += off
-        zero[j] -= off / ACCELERATION_ZEROS
+        if calm:
+            zero[j] -= off / ACCELERATION_ZEROS

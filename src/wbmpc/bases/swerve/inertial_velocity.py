@@ -49,7 +49,9 @@ class InertialVelocity:
         """(2) [m/s] of the base's origin, in axes of the base."""
         return self._arrays["inertial"] - self._yaw_rate * self._lever
 
-    def update(self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None) -> bool:
+    def update(
+        self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None, calm: bool = True
+    ) -> bool:
         """Over h [s] to a message: ``gyro`` (3) [rad/s], ``accel`` (3) [m/s²], mean ``yaw_rate`` [rad/s] without its bias; ``announced`` (n):
         wheels that slip, as the controller says. Whether ``weights`` are of this message: there is an inertial unit, and no gap before it."""
         if not (NO_GRAVITY < math.hypot(*accel.tolist()) < BROKEN and math.hypot(*gyro.tolist()) < BROKEN):
@@ -60,5 +62,5 @@ class InertialVelocity:
             return False
         self._gyro[:], self._accel[:], self._yaw_rate = gyro, accel, yaw_rate
         self._announced[:] = 0.0 if announced is None else announced
-        self._step(h, yaw_rate)
+        self._step(h, yaw_rate, calm)
         return True

@@ -50,6 +50,7 @@ class OdometryMemory:
             **self.wheels.memory,
             **kept,
             **{name: np.zeros(length) for name, length in (scratch | memory).items()},
+            "inertial": np.zeros(3),
             "slip": slip_memory(),
             "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
         }

@@ -19,6 +19,8 @@ from wbmpc.kernel.ir import Floats
 SMOOTHING = 0.05
 #: Weights of wheels below this count as this in their variances: without a weight a wheel has no share.
 SMALLEST = 1e-9
+#: Standard deviation [m/√s] of a velocity by an inertial unit: 0.02 m/s that last for 0.3 s.
+COASTING = 0.01
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
 BIAS, LATE, WHEELS = 3, 4, 5
 
@@ -76,6 +78,7 @@ class Odometry(NamedTuple):
     smoothed: Floats  # (3, 2n), derivatives of the twist's rate, averaged
     pose: Floats  # derivative (3, 3) of the move by the twist, then the move (3)
     by: Floats  # (3, 2n), of the move by the wheels; scratch
+    inertial: Floats  # velocity (2) [m/s] by an inertial unit, and its weight beside the wheels'
     spread: Floats  # (3, 3), scratch
     cross: Floats  # (size), scratch
 
@@ -139,6 +142,25 @@ def wheel_noise(w: Wheels, o: Odometry, slips: float, h: float) -> float:
     return noise[Noise.READING] ** 2 * counts
 
 
+@compiled
+def coast(w: Wheels, o: Odometry, h: float) -> None:
+    """Mix what the wheels say of an interval of ``h`` [s] with the velocity of an inertial unit, by their weights."""
+    own, total = o.inertial[2], o.inertial[2]
+    if own <= 0.0:
+        return
+    for i in range(w.n):
+        total += w.weights[i]
+    share = 1.0 - own / total
+    for j in range(2):
+        w.twist[j] = share * w.twist[j] + (1.0 - share) * h * o.inertial[j]
+        for k in range(2 * w.n):
+            o.by_wheels[2 * w.n * j + k] *= share
+        for k in range(3):
+            o.covariance[3 * j + k] *= share
+            o.covariance[3 * k + j] *= share
+        o.covariance[4 * j] += ((1.0 - share) * COASTING) ** 2 * h
+
+
 @step
 def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> None:
     """What the wheels say of the interval of ``h`` [s] from ``before`` to ``now``, into ``interval``, ``twist``, ``by_wheels``,
@@ -152,6 +174,7 @@ def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> No
     counts = wheel_noise(w, o, slips, h)
     interval[Interval.H], interval[Interval.TURN], interval[Interval.HAS_GYRO] = h, turn, float(has_gyro)
     interval[Interval.COUNTS] = counts
+    coast(w, o, h)
 
 
 @compiled
