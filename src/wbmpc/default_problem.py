@@ -52,6 +52,8 @@ ACCELERATION_SLACK = 1e6
 ACCELERATION_SHARE = 0.6
 #: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
 LOAD_SLACK, MARGIN_SLACK = 1e4, 1e5
+#: Where the payload and the coefficient of friction are in the reference of these rows.
+_PAYLOAD, _FRICTION = 6, 10
 
 
 class DefaultCost(Settings):
@@ -174,11 +176,21 @@ def carry(mpc: MPC, payload: float) -> None:
     """Plans of an MPC of :func:`make_mpc` count with the mass ``payload`` [kg] from the next update on; where it is, and what else its
     references say, stays."""
     for name in ("stability", "grip"):
-        if name in mpc.ocp.terms:
-            reference = mpc.reference[name]
-            values = reference.values.copy()
-            values[:, 6] = payload
-            mpc.reference[name] = replace(reference, values=values)
+        _change(mpc, name, _PAYLOAD, payload)
+
+
+def grip(mpc: MPC, friction: float) -> None:
+    """Plans of an MPC of :func:`make_mpc` whose stability knows friction count with another coefficient from the next update on."""
+    _change(mpc, "grip", _FRICTION, friction)
+
+
+def _change(mpc: MPC, name: str, column: int, value: float) -> None:
+    """One number of the reference of a constraint, where the problem has it, at all times."""
+    if name in mpc.ocp.terms:
+        reference = mpc.reference[name]
+        values = reference.values.copy()
+        values[:, column] = value
+        mpc.reference[name] = replace(reference, values=values)
 
 
 def keep_clear(

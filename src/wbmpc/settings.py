@@ -106,11 +106,13 @@ class StabilitySettings(Settings):
 
 class WheelLoadSettings(StabilitySettings):
     """Every wheel carries a load. ``min_load``: least load of a wheel, over the mean load of the empty robot at rest; ``friction``:
-    coefficient for which tires hold in plans, best the least that may be (0: any force)."""
+    coefficient for which tires hold in plans, best the least that may be (0: any force); ``estimate_friction``: whether wheels that slide
+    show the coefficient, and ``friction`` holds until then."""
 
     kind: Literal["wheel_loads"] = "wheel_loads"
     min_load: float = Field(0.2, ge=0, lt=1)
     friction: float = Field(0.0, ge=0, le=10)
+    estimate_friction: bool = False
 
 
 class SupportMarginSettings(StabilitySettings):

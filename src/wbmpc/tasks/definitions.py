@@ -47,6 +47,8 @@ DEFINITIONS: Definitions = {
     "tilt_change_max": ("rad", "largest change of the tilt of the base from its tilt at rest; true"),
     "payload_estimated": ("kg", "estimate, at the end, of the mass at the end effector, from the torques of the arm's drives"),
     "payload_error_end": ("kg", "difference of the estimated mass at the end effector from the true one at the end"),
+    "floor_friction_least": ("1", "least coefficient of friction of the floor that was planned with"),
+    "floor_slips": ("1", "number of slips that were felt"),
     "stopping_distance": ("m", "largest distance that the base covers from the stop command until it rests"),
     "stopping_time": ("s", "time from the stop command until the base rests"),
 }  # fmt: skip

@@ -31,6 +31,7 @@ from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
 from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
+from wbmpc.tasks.floor_friction import FloorFrictionWatch
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.tasks.payload import PayloadWatch
 from wbmpc.tasks.perception import Perception, PerceptionSettings
@@ -119,7 +120,8 @@ def closed_loop(
     watch = SceneWatch(around, system, log, since, robot, pace, perceive, others, reshaping) if around else None
     over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
 
-    watches: list[Any] = [w for w in (watch, PayloadWatch.of(settings, robot, system, log)) if w]
+    estimates = PayloadWatch.of(settings, robot, system, log), FloorFrictionWatch.of(settings, system, log)
+    watches: list[Any] = [w for w in (watch, *estimates) if w]
 
     def record(t: float, command: Any, plans: Any) -> None:
         over.now = t

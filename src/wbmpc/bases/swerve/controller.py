@@ -86,6 +86,11 @@ class SwerveController:
         self.supervision.commanded = brakes
 
     @property
+    def slip(self) -> float | None:
+        """Speed [m/s] of the fastest wheel against the base as the inertial unit has it; None without one."""
+        return self.estimator.slip
+
+    @property
     def faults(self) -> list[str]:
         """Messages of what was found: brakes that do not answer."""
         return self.supervision.faults

@@ -164,6 +164,11 @@ class SwerveEstimator:
         self._smooth = bind(smooth_pose, smoothing.arrays | drives | own, **sizes, age=age, time=time)
 
     @property
+    def slip(self) -> float | None:
+        """Speed [m/s] of the fastest wheel against the base as the inertial unit has it; None without one."""
+        return None if self._inertial is None else self._inertial.slip
+
+    @property
     def faults(self) -> tuple[str, ...]:
         """Wheels that are not believed, as the others contradict them."""
         odd = () if self._odd is None else np.flatnonzero(self._odd.odd > 0.0)

@@ -29,7 +29,7 @@ class InertialVelocity:
 
     def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), backend: Backend = "compiled") -> None:
         n = seen.size // 2
-        self._mount, self._yaw_rate = np.array(mount, float), 0.0
+        self._mount, self._yaw_rate, self._counts = np.array(mount, float), 0.0, False
         pairs = ("inertial", "averaged", "zero", "tilt", "rate_zero")
         self.weights, self._announced, self._arrays = np.ones(n), np.zeros(n), {name: np.zeros(2) for name in pairs}
         self._gyro, self._accel, self._seen = np.zeros(3), np.zeros(3), seen
@@ -49,11 +49,21 @@ class InertialVelocity:
         """(2) [m/s] of the base's origin, in axes of the base."""
         return self._arrays["inertial"] - self._yaw_rate * self._lever
 
+    @property
+    def slip(self) -> float | None:
+        """Speed [m/s] of the wheel that is farthest from the base's velocity, of those that are not announced to slip; None before there
+        was a message of an inertial unit."""
+        if not self._counts:
+            return None
+        off = self._seen.reshape(-1, 2) - self._arrays["averaged"]
+        return float(np.sqrt(np.max(np.where(self._announced > 0.5, 0.0, np.sum(off**2, axis=1)))))
+
     def update(
         self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None, calm: bool = True
     ) -> bool:
         """Over h [s] to a message: ``gyro`` (3) [rad/s], ``accel`` (3) [m/s²], mean ``yaw_rate`` [rad/s] without its bias; ``announced`` (n):
         wheels that slip, as the controller says. Whether ``weights`` are of this message: there is an inertial unit, and no gap before it."""
+        self._counts = False
         if not (NO_GRAVITY < math.hypot(*accel.tolist()) < BROKEN and math.hypot(*gyro.tolist()) < BROKEN):
             return False
         if not 0.0 < h < GAP:
@@ -63,4 +73,5 @@ class InertialVelocity:
         self._gyro[:], self._accel[:], self._yaw_rate = gyro, accel, yaw_rate
         self._announced[:] = 0.0 if announced is None else announced
         self._step(h, yaw_rate, calm)
+        self._counts = True
         return True
