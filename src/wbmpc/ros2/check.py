@@ -98,11 +98,12 @@ class _PlacesOfBase:
 def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 3.0) -> list[Finding]:
     """Listen for ``listen`` [s] and say what was found; sends nothing."""
     topics, reader = settings.topics, JointReader(robot, settings)
-    target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
+    timed = lambda read: lambda message: read(message, time.perf_counter())
+    target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", timed(reader.read))}
     if topics.imu and robot.description.base.moves:
         target[topics.imu] = "sensor_msgs/msg/Imu", read_imu
     if robot.description.base.takes_twist:
-        target[topics.base_odom] = "nav_msgs/msg/Odometry", BaseWay(robot).read
+        target[topics.base_odom] = "nav_msgs/msg/Odometry", timed(BaseWay(robot).read)
     target["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in target.items()}
     poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None
