@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
@@ -245,3 +246,16 @@ def test_who_comes_and_goes_in_other_types_makes_no_threads_and_no_long_lists(
     assert len(caplog.records) == 2
     there.clear()
     assert not mismatches.messages()
+
+
+def test_a_cloud_of_signaling_nans_writes_no_warning_on_the_terminal() -> None:
+    """Truth: warnings are errors here; the one point that is a measurement counts."""
+    from wbmpc.ros2.obstacle_messages import read_points
+
+    signaling = np.full((3, 3), 0x7F800001, np.uint32)
+    signaling[1] = np.ones(3, np.float32).view(np.uint32)
+    fields = [SimpleNamespace(name=n, offset=4 * k, datatype=7) for k, n in enumerate("xyz")]
+    cloud = SimpleNamespace(
+        height=1, width=3, point_step=12, row_step=36, is_bigendian=False, fields=fields, data=signaling.tobytes()
+    )
+    assert read_points(cloud).tolist() == [[1.0, 1.0, 1.0]]
