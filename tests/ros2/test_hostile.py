@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.errors import InputError
+from wbmpc.model.robot import load_robot
 from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.convert import LONGEST, error_message, read_pose, read_vector, stamp
 from wbmpc.ros2.deferred import MAX_MESSAGES, Deferred
 from wbmpc.ros2.joints import read_imu
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.opening import open_node
+from wbmpc.ros2.settings import settings_of
 
 pytestmark = needs_dds
 if not MISSING:
@@ -169,3 +174,88 @@ def test_what_fails_beside_the_control_does_not_end_the_run(
         p.control.step()
     del p.control.rosout.send
     assert 1 <= sum("wrench: numbers of 1e+09" in r.getMessage() for r in caplog.records) <= 5
+
+
+def test_a_description_of_nothing_but_beginnings_takes_a_check_no_time() -> None:
+    """Truth: the process's clock; with each beginning followed to the text's end 60 kB took seconds, 300 kB minutes."""
+    from wbmpc.ros2.check import _which_robot
+
+    ear, robot = SimpleNamespace(times=[], fault=""), load_robot("panda")
+    begin = time.process_time()
+    assert not _which_robot(robot, ear, ["<robot" * 10_000])  # type: ignore[arg-type]
+    assert not _which_robot(robot, ear, ["<robot" + " name" * 12_000])  # type: ignore[arg-type]
+    assert time.process_time() - begin < 1.0
+    (found,) = _which_robot(robot, ear, ['<robot version="1"\n name = "panda">'])  # type: ignore[arg-type]
+    assert found.text == "the robot on the bus is 'panda'"
+
+
+def test_nobody_writes_findings_of_a_check(nodes: tuple[Any, Any]) -> None:
+    """Names of robots, frames and nodes are what others call them. Truth: a finding is one short line that a terminal shows as it is."""
+    from wbmpc.ros2.check import check
+
+    evil, looker = nodes
+    said = "x\nok      /imu   all is well\x1b[31m" + "x" * 500
+    described = evil.publisher("/robot_description", STRING, Qos(latched=True))
+    described.publish({"data": f"<robot name='{said}'/>"})
+    evil.publisher("/odom", "nav_msgs/msg/Odometry")
+    evil.name = said[:200]
+    evil._announce()
+    assert wait_until(lambda: looker.publishers("/robot_description") and looker.publishers("/odom"))
+    robot = load_robot("panda")
+    found = check(looker, robot, settings_of(robot)(), 1.0)
+    assert {"robot", "/odom"} <= {f.topic for f in found}
+    assert all(f.text.isprintable() and len(f.text) < LONGEST + 40 for f in found), found
+
+
+def test_an_announcement_that_cannot_be_read_names_nobody(nodes: tuple[Any, Any]) -> None:
+    """Truth: the name that is announced next."""
+    evil, looker = nodes
+    evil.publisher("/odom", "nav_msgs/msg/Odometry")
+    assert wait_until(lambda: looker.publishers("/odom"))
+    (endpoint,) = looker.publishers("/odom")
+    encode, evil.types = evil.types.encode, SimpleNamespace(hash=evil.types.hash)
+    evil.types.encode = lambda kind, values: encode(kind, values).replace(b"one\0", b"\xff\xfe\xff\0")
+    evil._announce()
+    assert looker.owner(endpoint) == ""
+    evil.types.encode = encode
+    evil._announce()
+    assert wait_until(lambda: looker.owner(endpoint) == "one")
+
+
+def test_who_comes_and_goes_in_other_types_makes_no_threads_and_no_long_lists(
+    nodes: tuple[Any, Any], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Truth: threads of the process; what is reported of an endpoint is one short line, the newest one."""
+    from wbmpc.ros2.bus import DEFAULT, Endpoint
+    from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
+
+    monkeypatch.setattr("wbmpc.ros2.mismatch._UNSEEN", 0.3)
+    there: list[Endpoint] = []
+    mismatches = Mismatches(SimpleNamespace(publishers=lambda topic: there))  # type: ignore[arg-type]
+    ours, before = OwnEndpoint("subscription", "/scan", STRING, DEFAULT), threading.active_count()
+    for k in range(300):
+        there.append(Endpoint("/scan", f"evil/msg/T{k:03d}\n\x1b[31m", DEFAULT, False))
+        mismatches.notice(ours, "type")
+    assert threading.active_count() <= before + 1
+    assert wait_until(mismatches.messages)
+    there.append(Endpoint("/scan", "another/msg/Type", DEFAULT, False))
+    mismatches.notice(ours, "type")
+    assert wait_until(lambda: "another/msg/Type" in mismatches.messages()[0])
+    (message,) = mismatches.messages()
+    assert message.isprintable() and len(message) < LONGEST + 40
+    assert len(caplog.records) == 2
+    there.clear()
+    assert not mismatches.messages()
+
+
+def test_a_cloud_of_signaling_nans_writes_no_warning_on_the_terminal() -> None:
+    """Truth: warnings are errors here; the one point that is a measurement counts."""
+    from wbmpc.ros2.obstacle_messages import read_points
+
+    signaling = np.full((3, 3), 0x7F800001, np.uint32)
+    signaling[1] = np.ones(3, np.float32).view(np.uint32)
+    fields = [SimpleNamespace(name=n, offset=4 * k, datatype=7) for k, n in enumerate("xyz")]
+    cloud = SimpleNamespace(
+        height=1, width=3, point_step=12, row_step=36, is_bigendian=False, fields=fields, data=signaling.tobytes()
+    )
+    assert read_points(cloud).tolist() == [[1.0, 1.0, 1.0]]

@@ -12,7 +12,7 @@ import pytest
 from needs import MISSING, needs_dds, wait_until
 
 from wbmpc.errors import InputError
-from wbmpc.model.robot import load_robot
+from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.runtime.clock import WallClock
 
@@ -195,13 +195,37 @@ def test_a_jump_that_the_next_message_confirms_is_true_for_who_would_fall(confir
         at = SimpleNamespace(sec=5, nanosec=2_500_000 * k)
         message = SimpleNamespace(name=reader.names, position=values, header=SimpleNamespace(stamp=at))
         try:
-            return reader.read(message).groups["arm"][-1] == elbow
+            return reader.read(message, 5.0 + 0.0025 * k).groups["arm"][-1] == elbow
         except InputError as error:
             assert "jumped by" in str(error)
             return False
 
     taken = [read(k, elbow) for k, elbow in enumerate([0.0, 0.001, 1.0, 0.002, 0.5, 0.58, 0.66, 0.74])]
     assert taken == [True, True, False, True, False, confirmed, False, confirmed]
+
+
+@pytest.mark.parametrize(
+    "robot", [load_robot(n) for n in ("swerve-ur10", "differential-ur10", "panda")], ids=lambda r: r.description.name
+)
+def test_a_stamp_ahead_gives_joints_no_time_to_move(robot: RobotModel) -> None:
+    """One message with a wrong stamp and wrong angles moved the odometry for good: within its 1000 s a wheel can turn that far.
+    Truth: what has passed when it came. A clock that was set, and a driver that was silent while others moved the robot, are no faults."""
+    reader = JointReader(robot, settings_of(robot)())
+
+    def read(at: float, moved: float, came: float) -> str:
+        head = SimpleNamespace(stamp=SimpleNamespace(**header(at, "")["stamp"]))
+        position = np.full(len(reader.names), moved)
+        try:
+            reader.read(SimpleNamespace(name=reader.names, position=position, header=head), came)
+        except InputError as error:
+            return str(error)
+        return ""
+
+    assert not read(5.0, 0.0, 0.0)
+    assert "jumped by 10 rad" in read(1005.0, 10.0, 0.01)
+    assert not read(5.02, 0.001, 0.02)
+    assert not read(1005.0, 0.002, 0.03)
+    assert not read(1025.0, 10.0, 20.03)
 
 
 @pytest.mark.parametrize("ahead", [0.3, 1000.0])
@@ -215,7 +239,7 @@ def test_a_single_stamp_ahead_does_not_count_for_who_would_fall(ahead: float) ->
         stamped = header(at, "")["stamp"]
         head = SimpleNamespace(stamp=SimpleNamespace(**stamped))
         try:
-            reader.read(SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head))
+            reader.read(SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head), at)
         except InputError as error:
             assert f"their time jumped ahead by {ahead:.3g} s" in str(error)
             return False
@@ -235,7 +259,7 @@ def test_a_clock_that_is_set_back_lets_nobody_fall(back: float) -> None:
     def read(at: float) -> bool:
         head = SimpleNamespace(stamp=SimpleNamespace(**header(at, "")["stamp"]))
         try:
-            reader.read(SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head))
+            reader.read(SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head), at)
         except InputError as error:
             assert "their time went back by" in str(error)
             return False

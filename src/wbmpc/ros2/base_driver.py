@@ -25,12 +25,13 @@ LONGEST_WAY = 20.0
 @dataclass(frozen=True)
 class _Seen:
     """At ``stamp`` [s] the driver was at ``pose`` (3) in its own frame (None: the next message begins another one); ``way`` (m) [m, rad]
-    along each speed of the base, ``speeds`` (m)."""
+    along each speed of the base, ``speeds`` (m); the message ``came`` [s]."""
 
     stamp: float
     pose: Array | None
     way: Array
     speeds: Array
+    came: float
 
 
 class BaseWay:
@@ -44,8 +45,8 @@ class BaseWay:
         self._fastest = np.abs(self._twist) @ fastest  # in each direction of the frame [m/s, m/s, rad/s]
         self._seen: _Seen | None = None
 
-    def read(self, message: Any) -> None:
-        """Take in a message. One from before the last, or farther from it than the base can move, is an error."""
+    def read(self, message: Any, now: float) -> None:
+        """Take in a message that came ``now`` [s]. One from before the last, or farther from it than the base can move, is an error."""
         at = planar(*read_pose(message.pose.pose, "base odometry"))
         linear, angular = (read_vector(getattr(message.twist.twist, n), "base odometry") for n in ("linear", "angular"))
         stamp, last = seconds(message.header.stamp), self._seen
@@ -54,7 +55,8 @@ class BaseWay:
         way = np.zeros(len(self._inverse)) if last is None else last.way
         speeds = self._inverse @ [linear[0], linear[1], angular[2]]
         if last is not None and last.pose is not None:
-            passed = stamp - last.stamp
+            # a stamp far ahead is no time in which a base could move
+            passed = min(stamp - last.stamp, max(now - last.came, 0.0) + HELD)
             turn = 0.5 * float(self._twist[2] @ (last.speeds + speeds)) * passed
             moved = _arc(last.pose, at, turn)
             if np.any(np.abs(moved) > SPEED_FACTOR * self._fastest * passed + SPEED_REST):
@@ -63,7 +65,7 @@ class BaseWay:
                     f"base odometry: it jumped by {far:.3g} m and {turned:.3g} rad in {1e3 * passed:.3g} ms, faster than the base can move"
                 )
             way = way + self._inverse @ moved
-        self._seen = _Seen(stamp, at, way, speeds)
+        self._seen = _Seen(stamp, at, way, speeds, now)
 
     def reset(self) -> None:
         """The next message may be of any time and place, and moves nothing."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from wbmpc.errors import InputError, printable
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_driver import BaseWay
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Endpoint, Node
-from wbmpc.ros2.convert import seconds
+from wbmpc.ros2.convert import one_line, seconds
 from wbmpc.ros2.joints import JointReader, read_imu
 from wbmpc.ros2.localization import POSE_AGE, PoseSource
 from wbmpc.ros2.settings import OBSTACLE_TYPES, REQUEST_TYPES, Controller, RosSettings
@@ -90,7 +90,7 @@ class _PlacesOfBase:
         there = any(node.owner(e) == ours for e in node.publishers(TF))
         if len(self._parents) <= there:
             return []
-        parent = printable(next(iter(self._parents.values())))
+        parent = next(iter(self._parents.values()))
         text = f"another node says where '{self._base}' is in '{parent}', as the controller will: two odometries mix"
         return [Finding(WARNING, TF, f"{text} (diff_drive_controller: enable_odom_tf: false)")]
 
@@ -98,11 +98,12 @@ class _PlacesOfBase:
 def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 3.0) -> list[Finding]:
     """Listen for ``listen`` [s] and say what was found; sends nothing."""
     topics, reader = settings.topics, JointReader(robot, settings)
-    target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", reader.read)}
+    timed = lambda read: lambda message: read(message, time.perf_counter())
+    target: dict[str, tuple[str, Any]] = {topics.joint_states: ("sensor_msgs/msg/JointState", timed(reader.read))}
     if topics.imu and robot.description.base.moves:
         target[topics.imu] = "sensor_msgs/msg/Imu", read_imu
     if robot.description.base.takes_twist:
-        target[topics.base_odom] = "nav_msgs/msg/Odometry", BaseWay(robot).read
+        target[topics.base_odom] = "nav_msgs/msg/Odometry", timed(BaseWay(robot).read)
     target["/clock"] = "rosgraph_msgs/msg/Clock", lambda message: None
     ears = {topic: _Ear(node, topic, kind, read) for topic, (kind, read) in target.items()}
     poses = PoseSource(node, settings, time.monotonic, time.time) if topics.pose else None
@@ -135,7 +136,7 @@ def check(node: Node, robot: RobotModel, settings: RosSettings, listen: float = 
         found += _order(node, getattr(topics, key), kind)
     if poses is not None:
         found += _localization(node, poses, topics.pose, silent)
-    return found
+    return [replace(f, text=one_line(f.text)) for f in found]
 
 
 def _which_robot(robot: RobotModel, joints: _Ear, described: list[str]) -> list[Finding]:
@@ -143,7 +144,8 @@ def _which_robot(robot: RobotModel, joints: _Ear, described: list[str]) -> list[
     target = robot.description.name
     has_joints = bool(joints.times) and not joints.fault
     if described:
-        named = re.search(r"""<robot[^>]*\bname\s*=\s*["']([^"']*)["']""", described[-1])
+        # no further than to the next tag: of a hostile text each beginning would be followed to its end
+        named = re.search(r"""<robot\b[^<>]*\bname\s*=\s*["']([^"']*)["']""", described[-1])
         name = named.group(1) if named else ""
         if name and name != target:
             fit = "its joints fit all the same" if has_joints else "its joints do not fit either"

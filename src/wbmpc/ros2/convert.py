@@ -23,9 +23,13 @@ _FIRST, _LAST = -(2**31), 2**31 - 1
 
 
 def error_message(error: Exception) -> str:
-    """What a goal or a message was rejected for: our own message, or what went wrong by its kind; one line of at most
-    :data:`LONGEST` characters, for it may quote what others on the bus have sent."""
-    message = printable(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+    """What a goal or a message was rejected for: our own message, or what went wrong by its kind."""
+    return one_line(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+
+
+def one_line(message: str) -> str:
+    """One line of at most :data:`LONGEST` characters of what may quote others on the bus: nobody writes lines of ours."""
+    message = printable(message)
     middle = len(message) - LONGEST
     if middle > 0:  # the end says what is valid
         message = f"{message[: LONGEST // 2]} [{middle} characters] {message[-LONGEST // 2 :]}"

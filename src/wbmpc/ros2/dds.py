@@ -266,9 +266,10 @@ class DdsNode:
         names, reader = self._names
         while True:
             for data, _ in _taken(reader):
-                for node in self.types.decode(_INFO, data).node_entities_info_seq:
-                    for gid in (*node.reader_gid_seq, *node.writer_gid_seq):
-                        names[bytes(gid.data)[:16]] = node.node_name
+                with suppress(InputError):  # what cannot be read names nobody
+                    for node in self.types.decode(_INFO, data).node_entities_info_seq:
+                        for gid in (*node.reader_gid_seq, *node.writer_gid_seq):
+                            names[bytes(gid.data)[:16]] = node.node_name
             if endpoint.who in names or time.monotonic() > end:
                 return names.get(endpoint.who, "")
             time.sleep(0.01)

@@ -66,14 +66,14 @@ class JointReader:
         self._known = set(self.names)
         self._speed = np.concatenate([settings.joint_speeds(robot, g) for g, names in groups.items() if names])
         self._order: tuple[list[str], np.ndarray] | None = None
-        self._last: tuple[float, np.ndarray] | None = None
+        self._last: tuple[float, np.ndarray, float] | None = None  # stamp [s], positions, when it came [s]
         self._confirmed = confirmed
         self._doubted: tuple[float, np.ndarray] | None = None
         self._gap = settings.safety.watchdog
         self.lateness = Lateness(settings.topics.joint_states if confirmed else "")
 
-    def read(self, message: Any) -> JointSample:
-        """Check and sort a message. A message that is older than the last one is an error too."""
+    def read(self, message: Any, now: float) -> JointSample:
+        """Check and sort a message that came ``now`` [s]. A message that is older than the last one is an error too."""
         names = list(message.name)
         if self._order is None or self._order[0] != names:
             self._order = names, self._places(names)
@@ -85,8 +85,8 @@ class JointReader:
         if bad.size:
             raise NotFinite(f"joint states: the position of '{self.names[bad[0]]}' is not finite")
         check_numbers(values, "joint states")
-        self._check_motion(stamp, values)
-        self._last, self._doubted = (stamp, values), None
+        self._check_motion(stamp, values, now)
+        self._last, self._doubted = (stamp, values, now), None
         groups, start = {}, 0
         for group, names in self.groups.items():
             groups[group] = values[start : start + len(names)]
@@ -122,11 +122,13 @@ class JointReader:
             raise InputError(f"joint states: joint '{twice[0]}' appears twice")
         return np.array([names.index(n) for n in self.names])
 
-    def _check_motion(self, stamp: float, values: np.ndarray) -> None:
+    def _check_motion(self, stamp: float, values: np.ndarray, now: float) -> None:
         if self._last is None:
             return
         interval, moved = stamp - self._last[0], np.abs(values - self._last[1])
-        far = moved - (SPEED_FACTOR * self._speed * interval + SPEED_REST)
+        # a stamp far ahead is no time in which joints could move
+        passed = min(interval, max(now - self._last[2], 0.0) + self._gap)
+        far = moved - (SPEED_FACTOR * self._speed * passed + SPEED_REST)
         doubted, self._doubted = self._doubted, (stamp, values)
         # what only overtook others on its way is no clock that was set back
         if self._confirmed and doubted is not None and not -OVERTAKEN <= interval < 0.0:

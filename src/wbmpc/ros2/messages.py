@@ -9,7 +9,7 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from wbmpc.errors import unknown_name
+from wbmpc.errors import InputError, unknown_name
 from wbmpc.recording.messages import Field, encode
 
 _EMPTY = "uint8 structure_needs_at_least_one_member\n"
@@ -92,8 +92,11 @@ class Types:
         return known
 
     def decode(self, kind: str, data: bytes) -> Any:
-        """The message of some CDR."""
-        return self.store.deserialize_cdr(data, kind)
+        """The message of some CDR. Raises :class:`InputError` for what is none of this type."""
+        try:
+            return self.store.deserialize_cdr(data, kind)
+        except Exception as error:
+            raise InputError(f"{kind}: {error}") from error
 
     def hash(self, kind: str) -> str:
         """The type's hash as in REP 2016, with its version: RIHS01_…"""

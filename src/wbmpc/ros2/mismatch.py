@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 
 from wbmpc.ros2.bus import Endpoint, Node, Qos
+from wbmpc.ros2.convert import one_line
 
 _LOG = logging.getLogger("wbmpc")
 #: So long [s] after the notice the graph may not show an endpoint yet, and who takes several types may be about to take another.
@@ -43,13 +44,18 @@ class Mismatches:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._found: dict[str, tuple[OwnEndpoint, str, float]] = {}
+        self._found: dict[tuple[OwnEndpoint, str], tuple[str, float]] = {}  # message and time [s]
+        self._waiting: set[OwnEndpoint] = set()  # for a look at types
         self._lock = threading.Lock()
         self._looking, self._closed = threading.Lock(), False
 
     def notice(self, ours: OwnEndpoint, policy: str) -> None:
         """``policy``: what does not match; ``type`` if that is the type."""
         if policy == "type":
+            with self._lock:  # one look for all notices of an endpoint: others decide how many there are
+                if ours in self._waiting:
+                    return
+                self._waiting.add(ours)
             later = threading.Timer(_UNSEEN, self._check_types, [ours])
             later.daemon = True
             later.start()
@@ -64,6 +70,8 @@ class Mismatches:
             self._closed = True
 
     def _check_types(self, ours: OwnEndpoint) -> None:
+        with self._lock:
+            self._waiting.discard(ours)
         with self._looking:
             types = [] if self._closed else sorted({e.type for e in self._wrong(ours) if ours.wrong_type(e)})
         if not types:
@@ -74,21 +82,21 @@ class Mismatches:
         self._report(f"a {why}; no message will come through", ours, "type")
 
     def _report(self, message: str, ours: OwnEndpoint, policy: str) -> None:
+        message = one_line(message)
         with self._lock:
-            new = message not in self._found
-            self._found[message] = ours, policy, time.monotonic()
-        if new:
+            before, self._found[ours, policy] = self._found.get((ours, policy)), (message, time.monotonic())
+        if before is None or before[0] != message:
             _LOG.error("%s", message)
 
     def messages(self) -> list[str]:
         """Of those that are still there."""
         with self._lock:
             found = dict(self._found)
-        gone = [s for s, (ours, policy, at) in found.items() if not self._there(ours, policy, at)]
+        gone = {key for key, (_, at) in found.items() if not self._there(*key, at)}
         with self._lock:
-            for message in gone:
-                self._found.pop(message, None)
-        return [s for s in found if s not in gone]
+            for key in gone:
+                self._found.pop(key, None)
+        return [message for key, (message, _) in found.items() if key not in gone]
 
     def _there(self, ours: OwnEndpoint, policy: str, at: float) -> bool:
         still = self._wrong(ours) if policy in _SEEN else [e for e in self._others(ours) if not e.own]

@@ -123,7 +123,8 @@ def read_points(message: Any) -> Array:
     layout = np.dtype({"names": list("xyz"), "formats": kinds, "offsets": offsets, "itemsize": step})
     data = np.frombuffer(bytes(message.data), np.uint8).reshape(int(message.height), row)
     packed = np.ascontiguousarray(data[:, : int(message.width) * step]).view(layout).reshape(-1)
-    points = np.stack([packed[a].astype(float) for a in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # a signaling NaN would be a warning on the terminal
+        points = np.stack([packed[a].astype(float) for a in "xyz"], axis=1)
     measured = (np.abs(points) < LARGEST_NUMBER).all(axis=1)  # False where one is not a number
     if not measured.any():
         raise InputError(f"none of the cloud's {count} points is a measurement: is the sensor covered?")

@@ -87,7 +87,7 @@ class BusRobot:
         if not (self._joint_source.takes(source) if ours else self._joint_source.follows(source)):
             return
         try:
-            sample = self._reader.read(message)
+            sample = self._reader.read(message, self._now())
         except InputError as error:
             self._note("joints", error_message(error))
             if not self._armed:
@@ -130,7 +130,7 @@ class BusRobot:
         if not self._way_source.takes(source):
             return
         try:
-            way.read(message)
+            way.read(message, self._now())
         except InputError as error:
             self._note("way", error_message(error))
             if not self._armed:
@@ -287,6 +287,10 @@ class BusRobot:
     def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:
         origin = self.clock.origin
         return self.adapter.measurement(self.clock.now(), self._when(sample, arrival) - origin, sample, imu, origin)
+
+    def _now(self) -> float:
+        """By what messages come [s]: the bus's time, or the wall's."""
+        return self.clock.stamp() if isinstance(self.clock, BusClock) else time.perf_counter()
 
     def _when(self, sample: JointSample, arrival: float) -> float:
         """When joint states were read, on the clock behind the runner's."""
