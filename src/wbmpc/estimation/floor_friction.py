@@ -1,8 +1,9 @@
 """How much friction there is between wheels and floor, from slips.
 
-The floor gives a robot of mass m the acceleration a only by friction: m a ≤ μ m g, so a / g is never more than μ (Coulomb), and while
-wheels slide it comes near to it. So what is felt bounds the coefficient from below, and what is felt at its most in a slip is the
-coefficient. Of the robot it is the base whose acceleration is felt; what the arm does beside it is neglected.
+The floor gives a robot of mass m the acceleration a and the yaw acceleration α only by friction, at wheels r from its middle:
+m a ≤ Σ |tᵢ| ≤ μ m g and I α ≤ r Σ |tᵢ| (Coulomb). With both at once some wheels bear √(a² + (I α / m r)²) / g of their loads, or more, and
+while they slide it comes near to μ. So what is felt at its most in a slip is the coefficient. Of the robot it is the base whose motion is
+felt; what the arm does beside it is neglected.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 
 from wbmpc.checks import finite, not_negative, numbers, positive, positive_time
 from wbmpc.constants import GRAVITY
+from wbmpc.model.robot import RobotModel
+from wbmpc.stability import StanceOf
 
 Array = NDArray[np.float64]
 _WHO = "floor friction"
@@ -22,32 +25,38 @@ _WHO = "floor friction"
 MEAN_TIME, SLIDES, SLIDES_FOR, OVER_AFTER = 0.05, 0.1, 0.02, 0.1
 #: Of what is felt in a slip this share is planned with; least coefficient, that of ice; time [s] after a slip in which a share 1 - 1/e of
 #: what was believed before comes back, for floors differ.
-KEPT, LEAST, FORGETS = 0.9, 0.05, 30.0
+KEPT, LEAST, FORGETS = 0.8, 0.05, 30.0
 
 
 class FloorFriction:
     """A coefficient of friction for plans. ``bound``: ``believed`` until wheels slide; then what the floor has given at its most in a slip,
-    less as much as an estimate may be off. ``slips``: how often they have. Raises :class:`InputError` for a coefficient that is not
-    positive."""
+    less as much as an estimate may be off. ``turning`` [m]: I / (m r), see :func:`turning`. ``slips``: how often wheels have slid. Raises
+    :class:`InputError` for a coefficient that is not positive."""
 
-    def __init__(self, believed: float) -> None:
+    def __init__(self, believed: float, turning: float = 0.0) -> None:
         positive(_WHO, believed=believed)
+        not_negative(_WHO, turning=turning)
+        self._turning = float(turning)
         self.believed = self.bound = float(believed)
         self.slips = 0
-        self._felt = np.zeros(2)  # acceleration [m/s²], averaged
+        self._felt, self._change = np.zeros(2), 0.0  # acceleration [m/s²] and yaw acceleration [rad/s²], averaged
+        self._rate: float | None = None  # the last yaw rate [rad/s]
         self._sliding = self._rolling = 0.0  # for how long [s]
         self._most: float | None = None  # coefficient in the present slip
 
-    def update(self, h: float, accel: Array, slip: float) -> bool:
-        """Whether wheels slide, after another ``h`` [s] with the inertial unit's ``accel`` (3) [m/s²] in axes of the base and the fastest
-        wheel's ``slip`` [m/s] against the base. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; nothing is
+    def update(self, h: float, accel: Array, yaw_rate: float, slip: float) -> bool:
+        """Whether wheels slide, after another ``h`` [s] with the inertial unit's ``accel`` (3) [m/s²] in axes of the base, its ``yaw_rate``
+        [rad/s], and the fastest wheel's ``slip`` [m/s] against the base. Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; nothing is
         taken in then."""
         positive_time(_WHO, h)
-        finite(_WHO, slip=slip)
+        finite(_WHO, slip=slip, yaw_rate=yaw_rate)
         not_negative(_WHO, slip=slip)
         felt = numbers(_WHO, "accel", accel, 3)[:2]
-        self._felt += (1.0 - math.exp(-h / MEAN_TIME)) * (felt - self._felt)
-        ratio = float(np.hypot(*self._felt)) / GRAVITY
+        new, last = 1.0 - math.exp(-h / MEAN_TIME), yaw_rate if self._rate is None else self._rate
+        self._felt += new * (felt - self._felt)
+        self._change += new * ((yaw_rate - last) / h - self._change)
+        self._rate = float(yaw_rate)
+        ratio = math.hypot(*self._felt.tolist(), self._turning * self._change) / GRAVITY
         self._sliding = self._sliding + h if slip > SLIDES else 0.0
         self._rolling = 0.0 if slip > SLIDES else self._rolling + h
         if self._most is None and self._sliding >= SLIDES_FOR:
@@ -61,3 +70,14 @@ class FloorFriction:
         self._most = max(self._most, ratio)
         self.bound = max(min(self.bound, KEPT * self._most), LEAST)
         return True
+
+
+def turning(robot: RobotModel) -> float:
+    """I / (m r) [m] of a robot at home: its moment of inertia about the vertical through its base over its mass and the mean distance of its
+    feet, from which ``turning`` times its yaw acceleration is the acceleration that they have to give. Raises :class:`InputError` for a base
+    that does not stand on feet of its own."""
+    stance, about = StanceOf(robot), np.zeros(robot.input.size)
+    about[robot.input["base"].start + 2] = 1.0
+    still, turned = (stance(robot.home, u=np.zeros(robot.input.size), u_rate=rate) for rate in (0.0 * about, about))
+    distance = float(np.linalg.norm(still.feet, axis=1).mean())
+    return abs(float(turned.moment[2] - still.moment[2])) / (still.mass * distance)

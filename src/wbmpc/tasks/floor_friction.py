@@ -9,8 +9,9 @@ import numpy as np
 from wbmpc.bases.base import System
 from wbmpc.default_problem import grip
 from wbmpc.errors import InputError
-from wbmpc.estimation.floor_friction import FloorFriction
+from wbmpc.estimation.floor_friction import FloorFriction, turning
 from wbmpc.log import Log
+from wbmpc.model.robot import RobotModel
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import WheelLoadSettings
 from wbmpc.tasks.settings import SimulationSettings, TaskSettings
@@ -22,13 +23,15 @@ CHANGE = 0.005
 class FloorFrictionWatch:
     """Estimates the friction of the floor under the robot of a ``system``, and has its MPC plan with it; ``true``: what it really is."""
 
-    def __init__(self, settings: WheelLoadSettings, system: System, log: Log, true: float) -> None:
+    def __init__(
+        self, settings: WheelLoadSettings, robot: RobotModel, system: System, log: Log, true: float
+    ) -> None:
         self._controller: Any = system.controller
         self._mpc, self._log, self._true, self._planned = system.mpc, log, true, settings.friction
-        self._floor, self._time = FloorFriction(settings.friction), -np.inf
+        self._floor, self._time = FloorFriction(settings.friction, turning(robot)), -np.inf
 
     @classmethod
-    def of(cls, settings: SimulationSettings, system: System, log: Log) -> FloorFrictionWatch | None:
+    def of(cls, settings: SimulationSettings, robot: RobotModel, system: System, log: Log) -> FloorFrictionWatch | None:
         """Where the settings ask for it. Raises :class:`InputError` for robots that do not feel slips."""
         kept = settings.upright if isinstance(settings, TaskSettings) else None
         if not isinstance(kept, WheelLoadSettings) or not kept.estimate_friction:
@@ -40,7 +43,7 @@ class FloorFrictionWatch:
                 f"stability.estimate_friction: the base of '{settings.robot}' with physics={settings.physics} compares no wheels with an "
                 "accelerometer; valid: a base of steered wheels with physics=mujoco"
             )
-        return cls(kept, system, log, system.plant.draw.friction)
+        return cls(kept, robot, system, log, system.plant.draw.friction)
 
     def tick(self, t: float, plans: Any) -> None:
         """At a controller period."""
@@ -50,7 +53,7 @@ class FloorFrictionWatch:
         h, self._time = seen.time - self._time, seen.time
         if not np.isfinite(h):
             return
-        self._floor.update(h, seen.accel, slip)
+        self._floor.update(h, seen.accel, seen.gyro[2], slip)
         self._log.add("floor_friction", t, np.array([self._floor.bound]))
         if abs(self._floor.bound - self._planned) > CHANGE:
             self._planned = self._floor.bound

@@ -120,7 +120,7 @@ def closed_loop(
     watch = SceneWatch(around, system, log, since, robot, pace, perceive, others, reshaping) if around else None
     over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
 
-    estimates = PayloadWatch.of(settings, robot, system, log), FloorFrictionWatch.of(settings, system, log)
+    estimates = PayloadWatch.of(settings, robot, system, log), FloorFrictionWatch.of(settings, robot, system, log)
     watches: list[Any] = [w for w in (watch, *estimates) if w]
 
     def record(t: float, command: Any, plans: Any) -> None:
