@@ -276,3 +276,16 @@ def test_what_a_run_says_of_itself_steers_no_terminal(tmp_path: Path, capsys: py
     assert main(["run", str(tmp_path / "mine.py"), "--out", str(tmp_path / "run")]) == 1
     said = capsys.readouterr().out
     assert all(c.isprintable() or c == "\n" for c in said) and r"\x9b31m" in said and r"\x1b[31mred" in said
+
+
+def test_a_mistake_in_a_run_is_no_outcome_of_a_study(tmp_path: Path) -> None:
+    """It is no settings that were rejected, and the run is done again when the file is mended."""
+    (tmp_path / "mine.py").write_text(
+        OWN.replace("NAME", "mine").replace("return RunResult", "raise SystemExit(0); RunResult")
+    )
+    (tmp_path / "study.yaml").write_text("experiments: mine.py\nseeds: 1-2\n")
+    assert main(["study", str(tmp_path / "study.yaml"), "--workers", "0", "--out", str(tmp_path / "out")]) == 1
+    (tmp_path / "mine.py").write_text(OWN.replace("NAME", "mine"))
+    assert main(["study", str(tmp_path / "study.yaml"), "--workers", "0", "--out", str(tmp_path / "out")]) == 0
+    (tmp_path / "study.yaml").write_text("experiments: mine.py\nseeds: 0-999999\nvary: {mass: [1, 2]}\n")
+    assert main(["study", str(tmp_path / "study.yaml"), "--out", str(tmp_path / "out")]) == 2

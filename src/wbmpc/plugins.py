@@ -28,8 +28,8 @@ def offered(group: str) -> dict[str, str]:
 
 
 @contextmanager
-def mistakes_of(what: str, file: Path | None = None) -> Iterator[None]:
-    """Whatever other people's code raises, or that it ends the process, is an :class:`InputError` that begins with ``file``, its line, and
+def mistakes_of(what: str, file: Path | None = None, kind: type[WbmpcError] = InputError) -> Iterator[None]:
+    """Whatever other people's code raises, or that it ends the process, is an error of a ``kind`` that begins with ``file``, its line, and
     ``what``. Ctrl-C stays Ctrl-C."""
     try:
         yield
@@ -39,7 +39,7 @@ def mistakes_of(what: str, file: Path | None = None) -> Iterator[None]:
         if interrupted(error):
             raise
         place = "" if file is None else f"{file}{_line(file, error)}: "
-        raise InputError(f"{place}{what}: {type(error).__name__}: {error}") from error
+        raise kind(f"{place}{what}: {type(error).__name__}: {error}") from error
 
 
 def _line(file: Path, error: BaseException) -> str:

@@ -25,7 +25,7 @@ from types import ModuleType
 from typing import Any
 
 from wbmpc import plugins
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import InputError, ProgramError, unknown_name
 from wbmpc.experiment import Experiment
 from wbmpc.mpc.mpc import MPC
 from wbmpc.result import RunResult
@@ -63,8 +63,8 @@ def load(name: str) -> Experiment:
 def load_file(path: Path) -> Experiment:
     """The experiment of a Python file: its ``EXPERIMENT``.
 
-    Raises :class:`InputError` if there is no such file, it cannot be imported, or has no ``EXPERIMENT``; so does its run for a mistake
-    of the file, with its line.
+    Raises :class:`InputError` if there is no such file, it cannot be imported, or has no ``EXPERIMENT``. Its run raises
+    :class:`ProgramError` for a mistake of the file, with its line.
     """
     if not path.is_file():
         raise InputError(f"there is no file '{path}'")
@@ -74,10 +74,10 @@ def load_file(path: Path) -> Experiment:
 
 def _run(path: Path, run: Callable[..., RunResult], *arguments: Any) -> RunResult:
     """A run of a file's experiment, whose mistakes are no outcome of a robot's."""
-    with plugins.mistakes_of("its run fails", path):
+    with plugins.mistakes_of("its run fails", path, ProgramError):
         result = run(*arguments)
     if not isinstance(result, RunResult):
-        raise InputError(f"{path}: its run: a wbmpc.result.RunResult is needed, got {type(result).__name__}")
+        raise ProgramError(f"{path}: its run: a wbmpc.result.RunResult is needed, got {type(result).__name__}")
     return result
 
 
