@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from wbmpc import registry
+from wbmpc import bases, registry
 from wbmpc.benchmark.problems import race_problems
 from wbmpc.cli import main
 from wbmpc.cli.study import built_in_studies
@@ -178,6 +178,38 @@ def test_a_package_that_cannot_be_imported_does_not_hide_the_others(
     assert "a_module_that_is_nowhere" in listed and "swerve-track" in listed
 
 
+@pytest.mark.parametrize(
+    "source",
+    [
+        "raise RuntimeError('red \\x1b[31m')",
+        "raise SystemExit(0)",
+        "x = = 1",
+        "class Odd(BaseException): ...\nraise Odd",
+    ],
+)
+def test_whatever_a_package_does_when_it_is_imported_is_one_message(
+    source: str,
+    package: Callable[[str, str], None],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A package that is broken takes no command that does not need it: experiments, studies and base types of others stay."""
+    package("their-task", f"{source}\n")
+    assert main(["run", "their-task"]) == 2
+    assert "their_lab:EXPERIMENT cannot be imported" in (said := capsys.readouterr().err) and "\x1b" not in said
+    assert main(["list"]) == 0 and "swerve-track" in capsys.readouterr().out
+    point = EntryPoint("theirs", "their_lab.inside", "any")
+    monkeypatch.setattr("wbmpc.plugins.entry_points", lambda group: (point,))
+    assert built_in_studies() == {}
+    bases._locations.cache_clear()
+    try:
+        assert main(["doctor", "swerve-ur10"]) == 0
+        with pytest.raises(InputError, match=r"base type 'theirs': its plug-in their_lab\.inside cannot be imported"):
+            bases.base_type("theirs")
+    finally:
+        bases._locations.cache_clear()
+
+
 def test_a_file_is_an_experiment(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,6 +241,16 @@ def test_a_file_is_an_experiment(
             "mine.py: EXPERIMENT: a wbmpc.experiment.Experiment is needed, got NoneType",
         ),
         (OWN.replace("NAME", "../mine"), "experiment '../mine': valid in a name: letters"),
+        (OWN.replace("Mine, run)", "dict, run)"), "experiment 'NAME': a pydantic model of its settings"),
+        (OWN.replace("9.81", "0 / 0"), "mine.py, line 11: its run fails: ZeroDivisionError"),
+        (
+            OWN.replace("return RunResult", "raise SystemExit(0); RunResult"),
+            "mine.py, line 11: its run fails: SystemExit: 0",
+        ),
+        (
+            OWN.replace("return RunResult", "RunResult"),
+            "mine.py: its run: a wbmpc.result.RunResult is needed, got NoneType",
+        ),
     ],
 )
 def test_a_file_that_is_none_is_bad_input(
@@ -224,3 +266,26 @@ def test_a_file_that_is_none_is_bad_input(
     assert main(["run", "mine.py"]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
+
+
+def test_what_a_run_says_of_itself_steers_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Faults and reasons quote names of a robot's model, which may have any character."""
+    source = OWN.replace('"NAME", seed, True, ""', '"mine", seed, False, "\\x9b31m"').replace("NAME", "mine")
+    source = source.replace('"weight"', '"we\\x1b[2Jight"').replace("Log(),", 'Log(), faults=["\\x1b[31mred"],')
+    (tmp_path / "mine.py").write_text(source)
+    assert main(["run", str(tmp_path / "mine.py"), "--out", str(tmp_path / "run")]) == 1
+    said = capsys.readouterr().out
+    assert all(c.isprintable() or c == "\n" for c in said) and r"\x9b31m" in said and r"\x1b[31mred" in said
+
+
+def test_a_mistake_in_a_run_is_no_outcome_of_a_study(tmp_path: Path) -> None:
+    """It is no settings that were rejected, and the run is done again when the file is mended."""
+    (tmp_path / "mine.py").write_text(
+        OWN.replace("NAME", "mine").replace("return RunResult", "raise SystemExit(0); RunResult")
+    )
+    (tmp_path / "study.yaml").write_text("experiments: mine.py\nseeds: 1-2\n")
+    assert main(["study", str(tmp_path / "study.yaml"), "--workers", "0", "--out", str(tmp_path / "out")]) == 1
+    (tmp_path / "mine.py").write_text(OWN.replace("NAME", "mine"))
+    assert main(["study", str(tmp_path / "study.yaml"), "--workers", "0", "--out", str(tmp_path / "out")]) == 0
+    (tmp_path / "study.yaml").write_text("experiments: mine.py\nseeds: 0-999999\nvary: {mass: [1, 2]}\n")
+    assert main(["study", str(tmp_path / "study.yaml"), "--out", str(tmp_path / "out")]) == 2

@@ -23,6 +23,10 @@ class InputError(WbmpcError, ValueError):
     """Bad input of the user: one clear message (file, key, valid choices). The command line exits with 2."""
 
 
+class ProgramError(WbmpcError):
+    """A user's program failed while it ran: the message names its file and line. The command line exits with 2; a study repeats it."""
+
+
 class NotFinite(InputError):
     """A number that is not finite where a finite one is needed. In a running loop it ends the run, which exits with 1."""
 

@@ -51,7 +51,7 @@ class Experiment:
     """An experiment: ``name``, one-line ``summary``, type of its settings (``config_type``), ``run(settings, seed, progress)``, and
     ``definitions`` of its metrics (unit and text by name). The name is part of the run's directory: letters, digits, dots, dashes and
     underscores. Raises :class:`InputError` for
-    another one.
+    another one, and for what is no model or no function.
     """
 
     name: str
@@ -63,6 +63,8 @@ class Experiment:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise InputError(f"experiment '{self.name}': valid in a name: letters, digits, '.', '-' and '_'")
+        if not (isinstance(self.config_type, type) and issubclass(self.config_type, BaseModel) and callable(self.run)):
+            raise InputError(f"experiment '{self.name}': a pydantic model of its settings and a function are needed")
 
     @classmethod
     def of(

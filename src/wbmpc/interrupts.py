@@ -137,3 +137,11 @@ def interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+
+
+def interrupted(error: BaseException) -> bool:
+    """Whether it was Ctrl-C that came while compiled code called Python: that reports it as an error of its own."""
+    found: BaseException | None = error
+    while found is not None and not isinstance(found, KeyboardInterrupt):
+        found = found.__cause__ or found.__context__
+    return found is not None

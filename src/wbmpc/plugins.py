@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, WbmpcError
+from wbmpc.interrupts import interrupted
 
 #: The distribution whose names others cannot take.
 OWN = "wbmpc"
@@ -22,10 +27,29 @@ def offered(group: str) -> dict[str, str]:
     return found
 
 
+@contextmanager
+def mistakes_of(what: str, file: Path | None = None, kind: type[WbmpcError] = InputError) -> Iterator[None]:
+    """Whatever other people's code raises, or that it ends the process, is an error of a ``kind`` that begins with ``file``, its line, and
+    ``what``. Ctrl-C stays Ctrl-C."""
+    try:
+        yield
+    except WbmpcError:
+        raise
+    except BaseException as error:
+        if interrupted(error):
+            raise
+        place = "" if file is None else f"{file}{_line(file, error)}: "
+        raise kind(f"{place}{what}: {type(error).__name__}: {error}") from error
+
+
+def _line(file: Path, error: BaseException) -> str:
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file.absolute()]
+    line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
+    return "" if line is None else f", line {line}"
+
+
 def load(value: str, what: str) -> Any:
     """The attribute of "module:attribute". Raises :class:`InputError` that begins with ``what`` if it cannot be imported."""
     module, _, attribute = value.partition(":")
-    try:
+    with mistakes_of(f"{what} {value} cannot be imported"):
         return getattr(import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise InputError(f"{what} {value} cannot be imported: {error}") from error

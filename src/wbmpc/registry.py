@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import re
 import sys
-import traceback
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache, partial
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from threading import RLock
@@ -25,9 +25,10 @@ from types import ModuleType
 from typing import Any
 
 from wbmpc import plugins
-from wbmpc.errors import InputError, WbmpcError, unknown_name
+from wbmpc.errors import InputError, ProgramError, unknown_name
 from wbmpc.experiment import Experiment
 from wbmpc.mpc.mpc import MPC
+from wbmpc.result import RunResult
 
 GROUP = "wbmpc.experiments"
 #: The entry points of 'wbmpc demo': the same targets again.
@@ -62,11 +63,22 @@ def load(name: str) -> Experiment:
 def load_file(path: Path) -> Experiment:
     """The experiment of a Python file: its ``EXPERIMENT``.
 
-    Raises :class:`InputError` if there is no such file, it cannot be imported, or has no ``EXPERIMENT``.
+    Raises :class:`InputError` if there is no such file, it cannot be imported, or has no ``EXPERIMENT``. Its run raises
+    :class:`ProgramError` for a mistake of the file, with its line.
     """
     if not path.is_file():
         raise InputError(f"there is no file '{path}'")
-    return _checked(getattr(_imported(path), "EXPERIMENT", None), f"{path}: EXPERIMENT")
+    found = _checked(getattr(_imported(path), "EXPERIMENT", None), f"{path}: EXPERIMENT")
+    return replace(found, run=partial(_run, path, found.run))
+
+
+def _run(path: Path, run: Callable[..., RunResult], *arguments: Any) -> RunResult:
+    """A run of a file's experiment, whose mistakes are no outcome of a robot's."""
+    with plugins.mistakes_of("its run fails", path, ProgramError):
+        result = run(*arguments)
+    if not isinstance(result, RunResult):
+        raise ProgramError(f"{path}: its run: a wbmpc.result.RunResult is needed, got {type(result).__name__}")
+    return result
 
 
 def load_mpc(problem: str) -> MPC:
@@ -90,7 +102,7 @@ def load_mpc(problem: str) -> MPC:
             f"{path}: there is no {' and no '.join(names)}; valid: a function that returns an MPC, or an MPC"
         )
     called = name or "make_mpc"
-    with _mistakes_of(path, f"{called}() fails"):
+    with plugins.mistakes_of(f"{called}() fails", path):
         made = found() if callable(found) else found
     if not isinstance(made, MPC):
         raise InputError(f"{path}: {called}: an MPC is needed, got {type(made).__name__}")
@@ -108,26 +120,12 @@ def _imported(path: Path) -> ModuleType:
         sys.modules[name] = module  # annotations that are text are looked up there
         sys.path.insert(0, beside)
         try:
-            with _mistakes_of(path, "cannot be imported"):
+            with plugins.mistakes_of("cannot be imported", path):
                 spec.loader.exec_module(module)
         finally:
             with suppress(ValueError):  # a program may do with the path what it likes
                 sys.path.remove(beside)
     return module
-
-
-@contextmanager
-def _mistakes_of(path: Path, what: str) -> Iterator[None]:
-    """Whatever a user's program raises, or that it ends the process, is an :class:`InputError` that names file and line."""
-    try:
-        yield
-    except WbmpcError:
-        raise
-    except (Exception, SystemExit) as error:
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == path.absolute()]
-        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
-        where = "" if line is None else f", line {line}"
-        raise InputError(f"{path}{where}: {what}: {type(error).__name__}: {error}") from error
 
 
 def _checked(found: Any, where: str) -> Experiment:

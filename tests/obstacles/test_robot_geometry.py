@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -9,11 +13,25 @@ import numpy as np
 import pytest
 
 from clearing import TrueDistance, write_arm
+from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.obstacles.geometry import RobotGeometry, _cover, robot_geometry
 from wbmpc.obstacles.pairs import diagnose, distances, draw_states, list_pairs, propose_pairs, self_pairs
 from wbmpc.obstacles.solids import Solid
+
+
+@contextmanager
+def limited_memory(more: int) -> Iterator[None]:
+    """So many bytes more than the process has now."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + more, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
 
 ROBOTS = ("differential-ur10", "rezero", "swerve-ur10")
 
@@ -256,3 +274,46 @@ def test_what_overlaps_in_most_states_is_ignored_by_plans_and_simulation(tmp_pat
         plant.world.refresh()
         plant.world.contacts.update(1.0)
         assert any({t.first, t.second} == {"tube", "tip"} for t in plant.world.contacts.touches) != ignored
+
+
+def test_robots_of_hundreds_of_shapes_are_sampled_in_fewer_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """480 boxes on 12 links have 105 600 pairs, whose distances in all states at once need gigabytes; what is said is of the states that
+    were drawn. Truth: all states, of a robot for which that is no work."""
+    robot = load_robot("swerve-ur10")
+    geometry, states = robot_geometry(robot), draw_states(robot, 40)
+    pairs = list(propose_pairs(robot, 40).pairs)
+    everywhere = distances(geometry, pairs, states, 2.0)
+    for name, value, drawn in (
+        ("AT_ONCE", 1, 40),
+        ("MAX_BOUNDS", 7 * len(geometry.shapes) ** 2, 7),
+        ("MAX_EXACT", 1, 1),
+    ):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"wbmpc.obstacles.pairs.{name}", value)
+            np.testing.assert_array_equal(distances(geometry, pairs, states, 2.0), everywhere[:drawn])
+            assert list_pairs(robot, 40).samples == propose_pairs(robot, 40).samples == drawn
+    text = ["<robot name='chain'>"]
+    for k in range(12):
+        shapes = "".join(
+            f'<collision><origin xyz="{0.05 * i} 0 0"/><geometry><box size="0.05 0.05 0.05"/></geometry></collision>'
+            for i in range(40)
+        )
+        inertia = '<inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
+        text.append(f'<link name="k{k}"><inertial><mass value="1"/>{inertia}</inertial>{shapes}</link>')
+    for k in range(11):
+        ends = (
+            f'<parent link="k{k}"/><child link="k{k + 1}"/><origin xyz="0 0 0.3"/><axis xyz="{k % 2} {1 - k % 2} 0"/>'
+        )
+        limit = '<limit lower="-2" upper="2" effort="50" velocity="2"/>'
+        text.append(f'<joint name="j{k}" type="revolute">{ends}{limit}</joint>')
+    (tmp_path / "chain.urdf").write_text("".join([*text, "</robot>"]))
+    out = tmp_path / "chain.yaml"
+    with limited_memory(2 * 1024**3):
+        assert main(["new", str(tmp_path / "chain.urdf"), "--yes", "--out", str(out)]) == 0
+    found = re.search(r"in ([0-9]+) random states", out.read_text())
+    assert found is not None and 10 < int(found[1]) < 100
+    monkeypatch.setattr("wbmpc.obstacles.pairs.MAX_SHAPES", 400)
+    with pytest.raises(InputError, match="the robot has 480 shapes; at most 400 are compared"):
+        list_pairs(load_robot(out))

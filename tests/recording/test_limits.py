@@ -21,6 +21,7 @@ from wbmpc.recording.reader import read_recording
 from wbmpc.recording.recorder import Recorder
 from wbmpc.recording.records import MAGIC, records
 from wbmpc.recording.writer import McapFile
+from wbmpc.simulation.film import SceneModel
 from wbmpc.simulation.scene import Scene
 
 RNG = np.random.default_rng(3)
@@ -218,6 +219,17 @@ def test_a_topic_with_other_names_in_every_message_is_no_table(tmp_path: Path) -
     assert len(recording.table("/joint_states").columns) == 30
 
 
+def test_a_message_with_a_million_numbers_is_no_table(tmp_path: Path) -> None:
+    """A file of some kilobytes unpacks to it; to write that as a table took minutes."""
+    file, poses = McapFile(tmp_path / "run.mcap"), [{"pose": np.zeros(7)}] * 5_000
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "map"}
+    file.put("/plan", "nav_msgs/Path", 0.0, {"header": header, "poses": [{"header": header, **p} for p in poses]})
+    file.close()
+    assert (tmp_path / "run.mcap").stat().st_size < 20_000
+    with pytest.raises(InputError, match=r"/plan: is no table: it has more than 25000 columns"):
+        read_recording(tmp_path).table("/plan")
+
+
 def test_a_scene_of_a_recording_is_one_that_can_be_drawn() -> None:
     body, shape = {"name": "a", "parent": "world", "moves": True}, {
         "body": "a", "kind": "sphere", "size": [1, 1, 1], "pose": [0] * 7, "color": [1] * 4, "vertices": [], "faces": [],
@@ -226,3 +238,21 @@ def test_a_scene_of_a_recording_is_one_that_can_be_drawn() -> None:
     for bodies, shapes in ((20_000, 1), (1, 20_000)):
         with pytest.raises(TypeError, match=f"{bodies} bodies and {shapes} shapes; at most 2000 and 5000 are drawn"):
             Scene.of_plain({"robot": "a", "bodies": [body] * bodies, "shapes": [shape] * shapes})
+
+
+@pytest.mark.parametrize(("kind", "size"), [("mesh", [1, 1, 1]), ("sphere", [0, 0, 0])])
+def test_a_shape_that_nothing_draws_is_bad_input(kind: str, size: list[float]) -> None:
+    shape = {
+        "body": "a",
+        "kind": kind,
+        "size": size,
+        "pose": [0, 0, 0, 1, 0, 0, 0],
+        "color": [1] * 4,
+        "vertices": [],
+        "faces": [],
+    }
+    scene = Scene.of_plain(
+        {"robot": "a", "bodies": [{"name": "a", "parent": "world", "moves": True}], "shapes": [shape]}
+    )
+    with pytest.raises(InputError, match="a recorded scene cannot be drawn"):
+        SceneModel(scene)

@@ -89,6 +89,8 @@ WRONG = {
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: [1, 1.0]}": "offset=1: these settings appear twice",
     # counted, not made: they would fill the memory
     "experiments: [VALLEY]\nseeds: 3\nvary: {offset: RANGE, control.gain: RANGE, robot: [a, b]}": "200000000 combinations of settings; at most",
+    "experiments: [VALLEY]\nseeds: 3\nvary: {offset: {from: -1.0e+308, to: 1.0e+308, random: true}}": "and both from -",
+    "experiments: [VALLEY]\nseeds: 0-999999\nvary: {offset: [1, 2]}": "2000000 runs; at most 1000000 are planned",
     "experiments: [VALLEY]\nseeds: 3\ndraws: 100000\nvary: {offset: {from: 0, to: 1, random: true}}": "100000 combinations of settings",
     "experiments: [VALLEY]\nseeds: 3\nconditions: {a: }\ncompare_with: b": "compare_with: unknown condition 'b'",
     "experiments: [VALLEY]\nseeds: 0-9\ntune: {seeds: 5-12, search: {offset: [0, 1]}, minimize: [{metric: error, limit: 1}]}":

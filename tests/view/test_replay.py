@@ -115,6 +115,25 @@ def test_times_that_go_back_or_on_for_years_are_one_message(run: SimpleNamespace
     years: Any = SimpleNamespace(times=np.array([0.0, 4e9]), recording=recording)
     with pytest.raises(InputError, match=r"has 4e\+09 s; a page is of at most 7200 s"):
         write_page(years, tmp_path / "page.html", 8080)
+    film = Film(read_recording(run.folder))
+    film.times = np.array([*film.times[:-1], 4e9])
+    with pytest.raises(InputError, match=r"has 4e\+09 s; a clip is of at most 7200 s"):
+        render.render(film, tmp_path / "clip.gif", (0.0, np.inf), (64, 48))
+
+
+def test_a_gap_of_hours_in_a_film_is_one_pause(run: SimpleNamespace, tmp_path: Path, monkeypatch: Any) -> None:
+    """A clock that is set forward during a run: as many pictures as without it, no matter how many would fit into the gap."""
+    pytest.importorskip("viser")
+    drawn: list[float] = []
+    snapshot = Film.snapshot
+    monkeypatch.setattr(Film, "snapshot", lambda film, t: drawn.append(t) or snapshot(film, t))
+    write_page(Film(read_recording(run.folder)), tmp_path / "page.html", free_port())
+    usual, drawn[:] = len(drawn), []
+    recording = read_recording(run.folder)
+    for topic in recording.topics.values():
+        topic.times = [t + 7100.0 * (t > 0.5) for t in topic.times]
+    write_page(Film(recording), tmp_path / "page.html", free_port())
+    assert abs(len(drawn) - usual) <= 1 and drawn[-1] > 7100.0
 
 
 def test_a_film_may_begin_at_any_time(run: SimpleNamespace, tmp_path: Path) -> None:

@@ -50,7 +50,9 @@ def base_type(name: str) -> BaseType:
     locations = _locations()
     if name not in locations:
         raise unknown_name("base type", name, sorted(locations))
-    made: BaseType = plugins.load(locations[name], f"base type '{name}': its plug-in")()
+    plug_in = plugins.load(locations[name], f"base type '{name}': its plug-in")
+    with plugins.mistakes_of(f"base type '{name}': its plug-in {locations[name]} cannot be made"):
+        made: BaseType = plug_in()
     for part in PARTS:  # of a plug-in that does not derive from BaseType
         if not hasattr(made, part):
             setattr(made, part, partial(getattr(BaseType, part), made))

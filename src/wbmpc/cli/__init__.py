@@ -37,7 +37,6 @@ from wbmpc.cli.terminal import (
     COMPLETED,
     INTERRUPTED,
     experiment_names,
-    interrupted,
     logged,
     open_streams,
     progress_bar,
@@ -46,7 +45,7 @@ from wbmpc.cli.terminal import (
 )
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, printable, unknown_name
-from wbmpc.interrupts import act_on_waiting, ended_by_signal, terminable
+from wbmpc.interrupts import act_on_waiting, ended_by_signal, interrupted, terminable
 
 if TYPE_CHECKING:
     from wbmpc.experiment import Experiment

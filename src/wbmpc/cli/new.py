@@ -190,24 +190,26 @@ def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotM
     """Write the YAML if the robot loads with it; then its weights are known too."""
     from wbmpc.model.robot import load_robot
     from wbmpc.output_file import whole_file
+    from wbmpc.robots.description import load_description
     from wbmpc.robots.robot_yaml import write_yaml
 
     comments = _comments(draft, home)
     with whole_file(path) as partial:  # what was there before stays until the robot loads
-        partial.write_text(write_yaml(data, comments), encoding="utf-8")
         try:
+            partial.write_text(write_yaml(data, comments), encoding="utf-8")
             robot = load_robot(partial)
+            comments["limits"] += "\n" + _weights(robot)
+            _list_pairs(data, comments, robot)
+            partial.write_text(write_yaml(data, comments), encoding="utf-8")
+            load_description(partial)  # with names of bodies that were not in it
         except InputError as error:
             raise InputError(str(error).replace(str(partial), str(path))) from error
-        comments["limits"] += "\n" + _weights(robot)
-        _list_pairs(data, comments, robot)
-        partial.write_text(write_yaml(data, comments), encoding="utf-8")
     return robot
 
 
 def _list_pairs(data: dict[str, Any], comments: dict[str, str], robot: RobotModel) -> None:
     """The bodies that can run into each other, for a person to confirm: unless they are given, or the model has no shapes."""
-    from wbmpc.obstacles.pairs import FILE_SAMPLES, list_pairs
+    from wbmpc.obstacles.pairs import list_pairs
 
     if "collision" in data:
         return
@@ -217,7 +219,7 @@ def _list_pairs(data: dict[str, Any], comments: dict[str, str], robot: RobotMode
         return
     if not found.pairs and not found.drawn:
         return
-    text = f"bodies that come near each other in {FILE_SAMPLES} random states, which plans keep apart: confirm them"
+    text = f"bodies that come near each other in {found.samples} random states, which plans keep apart: confirm them"
     for name, left in (("seldom near, left out", found.rare), ("always near, left out", found.close)):
         text += f"\n{name}: {', '.join('-'.join(p) for p in left)}" if left else ""
     text += "\nignore: their shapes overlap in most states, and may in the simulation" if found.drawn else ""

@@ -9,6 +9,7 @@ import typer
 
 from wbmpc.cli.terminal import ABORTED, INTERRUPTED, console
 from wbmpc.cli.terminal import table as plain_table
+from wbmpc.errors import printable
 
 if TYPE_CHECKING:
     from wbmpc.result import MpcStatistics, RunResult
@@ -35,7 +36,7 @@ def _table(results: list[RunResult]) -> None:
             outcome = {True: "reached", False: "missed", None: ""}[result.reached(name)]
             unit, figure, published, goal = metric_cells(result, name)
             cells = [figure, *([published] if paper else []), goal]
-            table.add_row(result.experiment if k == 0 else "", name, unit, *cells, outcome)
+            table.add_row(result.experiment if k == 0 else "", printable(name), printable(unit), *cells, outcome)
         mpc = result.mpc
         if mpc is not None:
             table.add_row("", "MPC rate", "Hz", f"{mpc.rate_hz:g}")
@@ -48,7 +49,7 @@ def _table(results: list[RunResult]) -> None:
     out.print(table)
     for result in results:
         for note in goal_notes(result):
-            out.print(f"{result.experiment}, {note}", highlight=False)
+            out.print(printable(f"{result.experiment}, {note}"), highlight=False)
 
 
 def _counts(mpc: MpcStatistics) -> dict[str, int]:
@@ -68,7 +69,8 @@ def show_results(results: list[tuple[RunResult, dict[str, str]]], as_json: bool)
             if not result.completed:
                 judged = any(result.reached(name) is not None for name in result.metrics)
                 goals = "; a run that does not complete reaches no goal" if judged else ""
-                typer.echo(f"{result.experiment} did not complete: {result.reason} (outcome: {result.outcome}{goals})")
+                said = f"{result.experiment} did not complete: {result.reason} (outcome: {result.outcome}{goals})"
+                typer.echo(printable(said))
             typer.echo(f"{result.experiment}: the report page is {files['report']}")
     if any(r.interrupted for r, _ in results):
         raise typer.Exit(INTERRUPTED)

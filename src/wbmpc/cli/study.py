@@ -15,7 +15,7 @@ import typer
 from wbmpc import plugins
 from wbmpc.cli.directories import resumed_directory
 from wbmpc.cli.terminal import INTERRUPTED, console, printable, progress_bar, table
-from wbmpc.errors import unknown_name
+from wbmpc.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
     from wbmpc.study.study import Study
@@ -28,7 +28,7 @@ def built_in_studies() -> dict[str, Path]:
     """The studies that installed packages offer, by name: files one folder below a module of the entry-point group ``wbmpc.study_files``."""
     folders: list[str] = []
     for module in plugins.offered(GROUP).values():
-        with suppress(ModuleNotFoundError):  # of a package in which it would be
+        with suppress(InputError), plugins.mistakes_of(module):  # importing a package in which it would be
             spec = find_spec(module)
             folders += [] if spec is None else spec.submodule_search_locations or []
     return {path.stem: path for folder in folders for path in sorted(Path(folder).glob("*/*.yaml"))}

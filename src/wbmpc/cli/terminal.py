@@ -28,14 +28,6 @@ class _Printable(logging.Formatter):
         return printable(super().formatMessage(record))
 
 
-def interrupted(error: BaseException) -> bool:
-    """Whether it was Ctrl-C that came while compiled code called Python: that reports it as an error of its own."""
-    found: BaseException | None = error
-    while found is not None and not isinstance(found, KeyboardInterrupt):
-        found = found.__cause__ or found.__context__
-    return found is not None
-
-
 def table(title: str | None = None) -> Table:
     """A table with lines and colors on a terminal; in a pipe plain columns, which other programs can read."""
     from rich.table import Table

@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.geometry import RobotGeometry, path_of, rigid_link, robot_geometry
@@ -25,6 +26,9 @@ ALWAYS = 0.95
 #: Of the pairs for a robot file: states that are drawn, the share of them in which a pair may be nearer than its margin, and how many
 #: pairs there are at most: each costs time in every solve.
 FILE_SAMPLES, OFTEN, MAX_PAIRS = 2000, 0.5, 20
+#: Bounds of pairs of shapes that are made in all and at a time, and distances that are computed, at most: a model of hundreds of
+#: shapes is sampled in fewer states. One beyond so many shapes is not.
+MAX_BOUNDS, AT_ONCE, MAX_EXACT, MAX_SHAPES = 10_000_000, 1_000_000, 300_000, 1000
 #: Shapes that are nearer [m] overlap.
 TOUCHING = 1e-6
 #: Slides are those of one telescope if the cosine of their axes is more.
@@ -61,25 +65,28 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
     """Which pairs of frames a robot has to keep apart, from ``samples`` random states."""
     geometry = robot_geometry(robot)
     adjacent = [p for p in combinations(_bodies(geometry), 2) if _adjacent(robot, *p)]
-    others = [p for p in combinations(_bodies(geometry), 2) if p not in adjacent]
+    known = {*adjacent}
+    others = [p for p in combinations(_bodies(geometry), 2) if p not in known]
     minimum = distances(geometry, others, draw_states(robot, samples))
     always = (minimum < robot.description.collision.self.margin).mean(axis=0) >= ALWAYS
     always |= minimum[0] < 0.0
     never = ~always & (minimum >= NEAR).all(axis=0)
     listed = lambda mask: tuple(p for p, m in zip(others, mask, strict=True) if m)
-    return Proposal(samples, listed(~always & ~never), tuple(adjacent), listed(always), listed(never))
+    return Proposal(len(minimum), listed(~always & ~never), tuple(adjacent), listed(always), listed(never))
 
 
 @dataclass(frozen=True)
 class Listing:
     """Pairs for a robot file by what sampling found nearer than the margin: ``pairs`` that can come so near, the most frequent first;
     ``rare``: the least frequent ones, beyond :data:`MAX_PAIRS`; ``close``: near at home or often, so that nothing can keep them apart;
-    ``drawn``: those that overlap in most states, so that it is their shapes which do, and not the parts."""
+    ``drawn``: those that overlap in most states, so that it is their shapes which do, and not the parts; ``samples``: states that were
+    drawn."""
 
     pairs: tuple[Pair, ...]
     rare: tuple[Pair, ...]
     close: tuple[Pair, ...]
     drawn: tuple[Pair, ...]
+    samples: int
 
 
 def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
@@ -93,35 +100,52 @@ def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
     order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
     named = [pairs[i] for i in order]
     listed = lambda mask: tuple(pairs[i] for i in np.flatnonzero(mask))
-    return Listing(tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn))
+    return Listing(tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn), len(near))
 
 
 def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:
-    """Least distances (n, pairs) [m] of pairs of frames at states (n, nx); ``reach`` where it is more."""
+    """Least distances (k, pairs) [m] of pairs of frames at the first k of ``states`` (n, nx); ``reach`` where it is more. All n but
+    for a robot of so many shapes, or so many that are near each other, that it would take long.
+
+    Raises :class:`~wbmpc.errors.InputError` for more than :data:`MAX_SHAPES` shapes.
+    """
+    count = len(geometry.shapes)
+    if count > MAX_SHAPES:
+        raise InputError(f"the robot has {count} shapes; at most {MAX_SHAPES} are compared with each other")
     collider = Collider([s.solid for s in geometry.shapes])
-    of = {f: geometry.fixed_to(f) for pair in pairs for f in pair}
-    listed = np.array([(p, i, j) for p, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]], int).reshape(-1, 3)
-    centers, axes = geometry.at(*geometry.kinematics(states))
-    row, first, second = listed.T
-    solids = [s.solid for s in geometry.shapes]
-    bound = (
-        np.linalg.norm(centers[:, first] - centers[:, second], axis=2)
-        - geometry.radius[first]
-        - geometry.radius[second]
-    )
-    for a, b in {(int(i), int(j)) for i, j in zip(first, second)} if len(states) > 1 else ():
-        at = np.flatnonzero((first == a) & (second == b))
-        for c, d in ((a, b), (b, a)):  # a solid against the sphere around the other
-            inside = np.einsum("ni,nij->nj", centers[:, d] - centers[:, c], axes[:, c])
-            bound[:, at] = np.maximum(bound[:, at], (solids[c].distance(inside) - geometry.radius[d])[:, None])
-    found = np.full((len(states), len(pairs)), reach)
-    for k in np.flatnonzero((bound < reach).any(axis=1)).tolist():
-        collider.place(centers[k], axes[k])
-        for i in np.flatnonzero(bound[k] < reach).tolist():
-            if bound[k, i] < found[k, row[i]]:
-                near = collider.distance(int(first[i]), int(second[i]), float(found[k, row[i]]))
-                found[k, row[i]] = min(found[k, row[i]], near)
+    of = {f: geometry.fixed_to(f) for f in {f for pair in pairs for f in pair}}
+    listed = [(p, i, j) for p, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]]
+    row, first, second = np.array(listed, int).reshape(-1, 3).T
+    states = states[: max(MAX_BOUNDS // count**2, 1)]
+    found, part, left = np.full((len(states), len(pairs)), reach), max(AT_ONCE // count**2, 1), MAX_EXACT
+    for start in range(0, len(states), part):
+        centers, axes = geometry.at(*geometry.kinematics(states[start : start + part]))
+        bound = _bounds(geometry, centers, axes)[:, first, second]
+        for k in range(len(bound)):
+            if left <= 0:
+                return found[: start + k]
+            near = np.flatnonzero(bound[k] < reach).tolist()
+            if near:
+                collider.place(centers[k], axes[k])
+            left -= len(near)
+            for i in near:
+                best = found[start + k, row[i]]
+                if bound[k, i] < best:
+                    exact = collider.distance(int(first[i]), int(second[i]), float(best))
+                    found[start + k, row[i]] = min(best, exact)
     return found
+
+
+def _bounds(geometry: RobotGeometry, centers: Array, axes: Array) -> Array:
+    """At most the distances (n, s, s) [m] of all shapes: of their spheres, and of each against the sphere around the other."""
+    apart = centers[:, :, None] - centers[:, None]
+    one = np.empty(apart.shape[:3])
+    for c, shape in enumerate(geometry.shapes):
+        one[:, :, c] = (
+            shape.solid.distance(np.einsum("nsi,nij->nsj", apart[:, :, c], axes[:, c])) - geometry.radius[:, None].T
+        )
+    ball = np.linalg.norm(apart, axis=-1) - geometry.radius[:, None] - geometry.radius
+    return np.maximum(ball, np.maximum(one, one.transpose(0, 2, 1)))
 
 
 def _bodies(geometry: RobotGeometry) -> list[str]:

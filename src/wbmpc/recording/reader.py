@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ _LOG = logging.getLogger(__name__)
 LARGEST = 8 * 1024**3
 #: Cells of a table, at most, of which not one in :data:`_SPARSE` is a number that was recorded: messages with other names each time.
 MAX_SPARSE, _SPARSE = 10_000_000, 10
+#: Columns of a table, at most: a path of 3000 poses has as many.
+MAX_COLUMNS = 25_000
 #: Types of the topics that plots, films and pages read by name; with a slash at the end, of all below.
 KINDS = {
     "/robot_description": "std_msgs/String", "/mode": "std_msgs/String", "/tf": "tf2_msgs/TFMessage",
@@ -135,13 +138,17 @@ class Recording:
         """The numbers and texts of a topic; a list of messages gives columns for each."""
         found = self[topic]
         try:
-            rows = [dict(_flat("", found.kind, message)) for _, message in found.messages()]
+            rows = [dict(islice(_flat("", found.kind, message), MAX_COLUMNS + 1)) for _, message in found.messages()]
         except InputError:
             raise
         except ValueError:  # of zip
             raise InputError(f"{found.where}: a message has not as many numbers as names") from None
         names = list(dict.fromkeys(name for row in rows for name in row))
         given, cells = sum(map(len, rows)), len(names) * len(rows)
+        if len(names) > MAX_COLUMNS:
+            raise InputError(
+                f"{found.where}: is no table: it has more than {MAX_COLUMNS} columns; other topics can be named"
+            )
         if cells > max(MAX_SPARSE, _SPARSE * given):
             raise InputError(
                 f"{found.where}: is no table: its {len(rows)} messages have {len(names)} different names; other topics can be named"

@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from wbmpc.errors import printable
+
 #: Lists and mappings that fit into so many characters stand on one line.
 _WIDTH = 110
 
@@ -50,8 +52,8 @@ def _scalar(value: Any) -> str:
     words = ("y", "n", "yes", "no", "on", "off", "true", "false", "null", "inf", "nan")
     if plain.isascii() and plain.isalnum() and value[0].isalpha() and value.lower() not in words:
         return str(value)
-    return json.dumps(value, ensure_ascii=False)
+    return json.dumps(value, ensure_ascii=not value.isprintable())
 
 
 def _comment(text: str, depth: int) -> list[str]:
-    return [f"{'  ' * depth}# {line}".rstrip() for line in text.splitlines()]
+    return [f"{'  ' * depth}# {printable(line)}".rstrip() for line in text.splitlines()]

@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from wbmpc.errors import InputError
 from wbmpc.simulation.scene import Scene, Shape
 from wbmpc.simulation.world import add_floor, add_light
 
@@ -43,7 +44,10 @@ class SceneModel:
         spec.stat.extent, spec.stat.center = 4.0, [0.0, 0.0, 0.5]
         for part, value in (("ambient", 0.35), ("diffuse", 0.35), ("specular", 0.1)):
             setattr(spec.visual.headlight, part, [value] * 3)
-        self.model: mujoco.MjModel = spec.compile()
+        try:
+            self.model: mujoco.MjModel = spec.compile()
+        except ValueError as error:  # of shapes from a file
+            raise InputError(f"a recorded scene cannot be drawn: {' '.join(str(error).split())}") from error
         self.data = mujoco.MjData(self.model)
 
     def place(self, poses: Array) -> None:

@@ -23,8 +23,8 @@ from wbmpc.reproduce import parse_seeds
 from wbmpc.settings import LARGEST
 from wbmpc.yaml_file import load_yaml
 
-#: Combinations of settings of one study, and seeds, at most.
-MAX_COMBINATIONS, MAX_SEEDS = 20_000, 1_000_000
+#: Combinations of settings of one study, seeds, and runs, at most.
+MAX_COMBINATIONS, MAX_SEEDS, MAX_RUNS = 20_000, 1_000_000, 1_000_000
 
 
 def _seeds(value: Any) -> Any:
@@ -62,8 +62,8 @@ class _Bounds(Section):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         low, high = self.low, self.high
-        if not (np.isfinite([low, high]).all() and low < high):
-            raise ValueError(f"from={low:g} must be below to={high:g}, and both finite")
+        if not -LARGEST <= low < high <= LARGEST:  # of any setting; the difference of larger ones is no number
+            raise ValueError(f"from={low:g} must be below to={high:g}, and both from {-LARGEST:g} to {LARGEST:g}")
         if self.log and low <= 0.0:
             raise ValueError(f"a log range needs from > 0, got {low:g}")
         return self

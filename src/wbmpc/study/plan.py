@@ -19,7 +19,7 @@ from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment
 from wbmpc.registry import load, load_file
 from wbmpc.settings import ReadBy
-from wbmpc.study.definition import MAX_COMBINATIONS, Condition, Definition, Random, Range
+from wbmpc.study.definition import MAX_COMBINATIONS, MAX_RUNS, Condition, Definition, Random, Range
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,8 @@ def combinations(definition: Definition, folder: Path, where: str) -> list[Combi
     count *= math.prod(map(len, _grid(definition).values()))
     if count > MAX_COMBINATIONS:
         raise InputError(f"{where}: {count} combinations of settings; at most {MAX_COMBINATIONS} are run")
+    if (runs := count * len(definition.seeds)) > MAX_RUNS:
+        raise InputError(f"{where}: {runs} runs; at most {MAX_RUNS} are planned")
     points = [(draw, varied) for draw in range(definition.draws) for varied in _points(definition, draw)]
     found = [
         _combination(definition, folder, where, name, condition, robot, draw, varied)

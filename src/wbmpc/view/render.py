@@ -19,7 +19,7 @@ from wbmpc.simulation.render import BASE, END_EFFECTOR, REFERENCE, TRAIL, Camera
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.camera import hidden, near
 from wbmpc.view.labels import Labels
-from wbmpc.view.replay import Film
+from wbmpc.view.replay import Film, check_length
 
 #: Lines of a snapshot, the last in front.
 LINES = {"reference": REFERENCE, "trail": TRAIL, "base_plan": BASE, "end_effector_plan": END_EFFECTOR}
@@ -65,6 +65,8 @@ def render(
         raise InputError(
             f"render: from {times[0]:g} to {times[1]:g} s there is nothing to draw: the recording has {film.times[0]:g} to {film.times[-1]:g} s"
         )
+    if kind != ".png":
+        check_length(film, (end - start) / speed, "a clip")
     moments = (
         np.array([start])
         if kind == ".png"

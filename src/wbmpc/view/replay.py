@@ -23,8 +23,8 @@ from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, TRAIL, filled, ground,
 Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
 RATE, PAGE_RATE = 30.0, 20.0
-#: Of a film that is one page [s]: its pictures are all in the memory of a browser.
-LONGEST_PAGE = 7200.0
+#: Of a film that is one file [s]: its pictures are all in the memory of a browser.
+LONGEST = 7200.0
 #: Frames farther away than this [m] are of no robot, and nothing draws them.
 FARTHEST = 1e6
 #: The shortest time bar [s]: browsers count in doubles, and times may be a calendar's.
@@ -278,23 +278,32 @@ class Player:
             time.sleep(1.0 / RATE)
 
 
+def check_length(film: Film, length: float, what: str) -> None:
+    """Raise :class:`InputError` for ``what`` of ``length`` [s] if that is too long: any program may have written the stamps."""
+    if length > LONGEST:
+        raise InputError(f"{film.recording.path}: has {length:.6g} s; {what} is of at most {LONGEST:g} s")
+
+
 def write_page(film: Film, path: Path, port: int) -> None:
     """The film as one page with a time bar, which needs no server and no network."""
     from wbmpc.view.scene import ViewScene
     from wbmpc.view.server import open_server
 
-    if (length := float(film.times[-1] - film.times[0])) > LONGEST_PAGE:
-        raise InputError(f"{film.recording.path}: has {length:.6g} s; a page is of at most {LONGEST_PAGE:g} s")
+    length = float(film.times[-1] - film.times[0])
+    check_length(film, length, "a page")
+    times = float(film.times[0]) + np.arange(int(length * PAGE_RATE + 1e-6) + 1) / PAGE_RATE
+    # no picture twice: where nothing was recorded for hours, one stands still
+    moments = times[np.flatnonzero(np.diff([latest(film.times, t) for t in times], prepend=-1))]
     server, _ = open_server(Access.of("127.0.0.1"), port, film.recording.title)
     try:
         stage, serializer = ViewScene(server, film.scene, carried=True), None
-        for k in range(int(length * PAGE_RATE + 1e-6) + 1):
-            s = film.snapshot(float(film.times[0]) + k / PAGE_RATE)
+        for t, pause in zip(moments, np.diff(moments, append=times[-1] + 1.0 / PAGE_RATE), strict=True):
+            s = film.snapshot(float(t))
             stage.show(s)
             stage.follow(s["poses"])
             if serializer is None:
                 serializer = server.get_scene_serializer()
-            serializer.insert_sleep(1.0 / PAGE_RATE)
+            serializer.insert_sleep(float(pause))
         assert serializer is not None
         title = f"<title>{html.escape(film.recording.title)}</title>"
         write_text(path, serializer.as_html().replace("<title>Viser</title>", title, 1))
