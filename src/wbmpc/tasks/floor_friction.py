@@ -23,12 +23,10 @@ CHANGE = 0.005
 class FloorFrictionWatch:
     """Estimates the friction of the floor under the robot of a ``system``, and has its MPC plan with it; ``true``: what it really is."""
 
-    def __init__(
-        self, settings: WheelLoadSettings, robot: RobotModel, system: System, log: Log, true: float
-    ) -> None:
+    def __init__(self, settings: WheelLoadSettings, robot: RobotModel, system: System, log: Log, true: float) -> None:
         self._controller: Any = system.controller
         self._mpc, self._log, self._true, self._planned = system.mpc, log, true, settings.friction
-        self._floor, self._time = FloorFriction(settings.friction, turning(robot)), -np.inf
+        self._floor, self._time = FloorFriction(settings.friction, turning(robot, settings.payload)), -np.inf
 
     @classmethod
     def of(cls, settings: SimulationSettings, robot: RobotModel, system: System, log: Log) -> FloorFrictionWatch | None:
@@ -37,13 +35,16 @@ class FloorFrictionWatch:
         if not isinstance(kept, WheelLoadSettings) or not kept.estimate_friction:
             return None
         if kept.friction <= 0.0:
-            raise InputError("stability.estimate_friction: plans with stability.friction=0 know no friction; valid: more than 0")
+            raise InputError(
+                "stability.estimate_friction: plans with stability.friction=0 know no friction; valid: more than 0"
+            )
         if not hasattr(system.controller, "slip"):
             raise InputError(
-                f"stability.estimate_friction: the base of '{settings.robot}' with physics={settings.physics} compares no wheels with an "
+                f"stability.estimate_friction: the base of '{robot.description.name}' with physics={settings.physics} compares no wheels with an "
                 "accelerometer; valid: a base of steered wheels with physics=mujoco"
             )
-        return cls(kept, robot, system, log, system.plant.draw.friction)
+        plant: Any = system.plant
+        return cls(kept, robot, system, log, plant.draw.friction)
 
     def tick(self, t: float, plans: Any) -> None:
         """At a controller period."""
@@ -61,7 +62,9 @@ class FloorFrictionWatch:
 
     def metrics(self) -> dict[str, Metric]:
         """What was found."""
-        bounds = self._log.array("floor_friction") if "floor_friction" in self._log.channels else np.array([[self._planned]])
+        bounds = (
+            self._log.array("floor_friction") if "floor_friction" in self._log.channels else np.array([[self._planned]])
+        )
         return {
             "floor_friction_least": Metric(float(bounds.min()), "1"),
             "floor_slips": Metric(float(self._floor.slips), "1"),

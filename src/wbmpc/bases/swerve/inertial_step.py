@@ -27,10 +27,11 @@ def inertial_velocity(
     tilt: Floats, rate_zero: Floats, weights: Floats, mount: Floats, over: float, h: float, yaw_rate: float, calm: bool,
 ) -> None:  # fmt: skip
     """Over h [s] with readings ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²], and ``yaw_rate`` [rad/s] without its bias: the
-    ``inertial`` velocity (2) [m/s] of the unit at ``mount`` (2) [m], the body's ``averaged`` (2) over a time ``over`` [s] as velocities
-    ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that go as the unit does. ``calm``: the wheels agree, and the velocity follows them, but
-    for those ``announced`` (n), 1 for wheels that are known to slip; else it follows those near it, and slowly. ``tilt`` (2) [rad] about x and y,
-    ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are memory."""
+    ``inertial`` velocity (2) [m/s] of the unit at ``mount`` (3) [m], the base's ``averaged`` (2) over a time ``over`` [s] as velocities
+    ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that go as the unit does. ``calm``: the wheels agree,
+    and the velocity follows them, but for those ``announced`` (n), 1 for wheels that are known to slip; else it follows those near it,
+    and slowly. ``tilt`` (2) [rad] about x and y, ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are
+    memory."""
     rests = max(abs(inertial[0]), abs(inertial[1])) < REST
     for j in range(2):
         rate_zero[j] += h / (ZEROS_AT_REST if rests else ZEROS) * (gyro[j] - rate_zero[j])

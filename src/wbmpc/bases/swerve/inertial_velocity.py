@@ -19,12 +19,12 @@ GAP = 0.1
 
 
 class InertialVelocity:
-    """Velocity of a base by accelerations and rates, which the wheels correct as far as they are near it. ``seen`` (n, 2) [m/s]: the
-    base's velocity by each wheel, an array that goes on. ``mount`` (3) [m]: where the inertial unit is, in axes of the base. ``weights`` (n): 1 for wheels that go with the base, less for
-    others. ``backend``: machine code, or the same source as ordinary Python.
+    """Velocity of a base by accelerations and rates, which wheels that agree correct. ``seen`` (n, 2) [m/s]: the base's velocity by each
+    wheel, an array that goes on. ``mount`` (3) [m]: where the inertial unit is, in axes of the base. ``weights`` (n): 1 for wheels that
+    go with the base, less for others. ``backend``: machine code, or the same source as ordinary Python.
 
-    Tires slip within tenths of a second; meanwhile the integral of accelerations is off by a few mm/s. What lasts (zeros, tilt
-    of the floor) is learned from the wheels.
+    While wheels contradict each other the velocity coasts: integrals of accelerations are off by a few mm/s after half a second. What
+    lasts (zeros, tilt of the floor) is learned from wheels that agree.
     """
 
     def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), backend: Backend = "compiled") -> None:
@@ -59,10 +59,17 @@ class InertialVelocity:
         return float(np.sqrt(np.max(np.where(self._announced > 0.5, 0.0, np.sum(off**2, axis=1)))))
 
     def update(
-        self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None, calm: bool = True
+        self,
+        h: float,
+        gyro: Array,
+        accel: Array,
+        yaw_rate: float,
+        announced: NDArray[np.bool_] | None,
+        calm: bool = True,
     ) -> bool:
         """Over h [s] to a message: ``gyro`` (3) [rad/s], ``accel`` (3) [m/s²], mean ``yaw_rate`` [rad/s] without its bias; ``announced`` (n):
-        wheels that slip, as the controller says. Whether ``weights`` are of this message: there is an inertial unit, and no gap before it."""
+        wheels that slip, as the controller says; ``calm``: whether the wheels agree. Whether ``weights`` are of this message: there is an
+        inertial unit, and no gap before it."""
         self._counts = False
         if not (NO_GRAVITY < math.hypot(*accel.tolist()) < BROKEN and math.hypot(*gyro.tolist()) < BROKEN):
             return False
