@@ -83,7 +83,8 @@ class Alternatives:
     to move and to turn in place.
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: number of consecutive searches without a
-    result while a static obstacle held up the references; ``searches``: number of finished searches; ``taken``: times [s] and names of the
+    result while a static obstacle held up the references; ``can_leave``: whether the robot was, in the last search, where it is clear as it is
+    at home and had a place to turn behind it; ``searches``: number of finished searches; ``taken``: times [s] and names of the
     paths that were taken; ``computation`` [s]: time of all searches. During a detour the base has a weight in the cost "state".
     ``reshaping``: changes the base's shape on the way (:meth:`wbmpc.bases.base.BaseType.reshaping`; None: its shape stays). Raises
     :class:`InputError` for an MPC without obstacles or with progress along a path, and a base that does not move or balances.
@@ -99,6 +100,7 @@ class Alternatives:
         self._world = Obstacles()
         self._ahead = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, plan_only_limits=True, obstacles=self._world)
         self.failed, self.searches, self.computation = 0, 0, 0.0
+        self.can_leave = False
         self.taken: list[tuple[float, str]] = []
         self._waits_since: float | None = None
         self._not_before = -np.inf
@@ -151,6 +153,8 @@ class Alternatives:
             return
         self._found, self._solves = [], 0
         start = self._now(t)[base_part(robot)]
+        here = Footprint(robot, still, (1.0 - TOLERATED) * margin, t).clear(start[None])[0]
+        self.can_leave = bool(here) and self._off(footprint, start) is not None
         found = self._ways_of(footprint, start, times, places, clear)
         if self._reshaping is not None:
             shape = self._reshaping.narrowest
