@@ -55,7 +55,14 @@ def folding(robot: wb.RobotModel, offset: float | None = 0.0) -> tuple[LegFoldin
         period=0.02,
         set_schedule=lambda s: None,
     )
-    return LegFolding(robot, mpc), mpc
+    made = LegFolding(robot, mpc)
+
+    def as_planned(copy: bool = True) -> Any:
+        """Of legs that are where they were to be."""
+        return SimpleNamespace(x=robot.home[None] if made._set is None else made._set.values[:1])
+
+    mpc.solver = SimpleNamespace(trajectory=as_planned)
+    return made, mpc
 
 
 def test_legs_fold_as_far_as_their_wheels_need(robot: wb.RobotModel) -> None:
@@ -187,6 +194,31 @@ def test_legs_are_folded_before_they_have_to_be(robot: wb.RobotModel) -> None:
     for t, share in zip(times[late], shares[late], strict=True):
         early = planned[np.abs(times - (t - FOLDED_AHEAD)) < 1e-6][0]
         assert (early >= share - 1e-9).all(), t
+
+
+def test_the_brake_of_a_leg_that_lags_waits_for_it(robot: wb.RobotModel) -> None:
+    """One back leg stays 8 degrees behind: its brake alone is open after the others have closed, until it has arrived."""
+    made, mpc = folding(robot, None)
+    for k, side in enumerate((1.0, -1.0)):  # 6 m long: all legs are inside from 11 s to 24 s
+        wall, place = wb.shapes.Box((3.0, *HALF[1:])), (BEGIN + 3.0, side * (0.5 * WIDTH + HALF[1]), HALF[2])
+        mpc.obstacles.set(f"wall{k}", wall, position=place)
+    running, leg, as_planned, late = mpc.reference["state"], robot.state["leg"], mpc.solver.trajectory, np.zeros(4)
+
+    def behind(copy: bool = True) -> Any:
+        x = as_planned().x.copy()
+        x[0, leg] += late * np.sign(robot.home[leg])
+        return SimpleNamespace(x=x)
+
+    def follow(begin: float, end: float) -> np.ndarray:
+        for t in np.arange(begin, end, CHECK_INTERVAL):
+            mpc.reference["state"] = running
+            made.update(float(t))
+        return made.brakes.commanded(end) > 0.5
+
+    mpc.solver.trajectory, late[3] = behind, np.radians(8.0)
+    np.testing.assert_array_equal(follow(0.0, 14.0), [False, False, False, True])
+    late[3] = 0.0
+    assert not follow(14.0, 16.0).any()
 
 
 def test_without_obstacles_nothing_changes(robot: wb.RobotModel) -> None:

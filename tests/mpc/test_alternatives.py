@@ -217,6 +217,23 @@ def test_references_take_a_detour_and_rejoin(driving: Path) -> None:
     np.testing.assert_allclose(pace.pose(4.0)[:3], whole.at(4.0)[:3], atol=1e-9)
 
 
+def test_the_base_has_a_weight_while_its_shape_is_narrow(driving: Path) -> None:
+    """Without one a base evades what it is to pass, as its arm reaches the path from beside it too."""
+    robot = wb.load_robot(driving)
+    mpc = default_mpc(robot, obstacles=wb.Obstacles())
+    shape = SimpleNamespace(narrowest=robot.home, free=None, narrow=False)
+    others = wb.Alternatives(mpc, robot, wb.PacedReferences(mpc), shape)
+    part, base = mpc.solver.problem.constant.slices["path.state"], robot.state["base"]
+    weights = [mpc.solver.constants[part].copy()]
+    for k, narrow in enumerate((True, True, False)):
+        shape.narrow = narrow
+        others.advance(0.1 * k)
+        weights.append(mpc.solver.constants[part].copy())
+    np.testing.assert_array_equal(weights[1], weights[2])
+    assert (weights[1][base] > 10.0 * weights[0][base]).all() and (weights[1][base] > 0.0).all()
+    np.testing.assert_array_equal(weights[3], weights[0])
+
+
 def test_what_it_needs_is_named(driving: Path) -> None:
     robot = wb.load_robot(driving)
     mpc = default_mpc(robot)

@@ -256,10 +256,11 @@ class System:
 
 class Reshaping(Protocol):
     """Adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the robot at home
-    in its narrowest shape; ``free``: the mode in which its shape may change."""
+    in its narrowest shape; ``free``: the mode in which its shape may change; ``narrow``: whether its shape changes for what lies ahead."""
 
     narrowest: Array
     free: Mode
+    narrow: bool
 
     def update(self, t: float, ahead: Reference | None = None) -> None:
         """Set references and modes of its MPC for updates from ``t`` [s] on, after the reference "state" is set. ``ahead``: that

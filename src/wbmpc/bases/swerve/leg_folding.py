@@ -3,7 +3,7 @@
 Gradients of distances are local: a leg in front of a wall may as well fold to the wrong side. So leg angles are references that look
 ahead. At each place of the base's reference the base moves aside and turns as little as its body needs, and each leg turns from where it is
 asked to be towards the body's axis as little as its own parts need; how fast legs turn is limited, so that they fold in good time. A brake
-is open while its leg's reference turns.
+is open while its leg's reference turns, and until the leg is folded as far.
 """
 
 from __future__ import annotations
@@ -47,6 +47,8 @@ LEG_SPEED_SHARE = 0.6
 OFF_SPEED = np.array([0.05, 0.1])
 #: Legs are folded so long [s] before they have to be: one that lags behind comes in front of what it is to pass, and stays there.
 FOLDED_AHEAD = 1.0
+#: A leg that is farther [rad] from its narrowest place than it is to be is not folded yet: its brake stays open.
+FOLDED = 0.03
 #: Brakes open so long [s] before their leg turns, and close so long after.
 OPEN_BEFORE, OPEN_AFTER = 0.3, 0.6
 
@@ -74,7 +76,7 @@ class LegFolding:
         #: legs at one end of the body fold alike
         self._pair = geometry.hinge[:, 0] > 0.0
         self._rate = LEG_SPEED_SHARE * float(limits.input_upper[robot.input["leg"]].min())
-        self._looked = -np.inf
+        self._looked, self.narrow = -np.inf, False
         self._turned = np.full(geometry.modules, -np.inf)  # when each leg's reference turned last
         self._ahead: tuple[Array, Array, Array] | None = None  # times (k), shares (k, n), off (k, 2)
         self._asked: Reference | None = None
@@ -120,9 +122,11 @@ class LegFolding:
         times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + CHECK_INTERVAL)
         values = np.array([self._asked.at(float(at)) for at in times])
         shares, off = self._planned(times)
-        self._turned = np.where(np.abs(shares[1] - shares[0]) > 1e-3, t, self._turned)
-        values = self._moved(values, off)
-        values[:, self._leg] += shares * (self._narrow - values[:, self._leg])
+        values, asked = self._moved(values, off), values[:, self._leg].copy()
+        values[:, self._leg] += shares * (self._narrow - asked)
+        legs = self._mpc.solver.trajectory(copy=False).x[0, self._leg]
+        lacks = (legs - values[0, self._leg]) * np.sign(asked[0] - self._narrow) > FOLDED
+        self._turned = np.where((np.abs(shares[1] - shares[0]) > 1e-3) | lacks, t, self._turned)
         self._set = Reference(times, values)
         self._mpc.reference["state"] = self._set
 
@@ -151,7 +155,7 @@ class LegFolding:
         folded = _all_reachable(shares, times, rate, shares_now)
         moved = _all_reachable(np.maximum(off, 0.0), times, OFF_SPEED, np.maximum(off_now, 0.0))
         moved -= _all_reachable(np.maximum(-off, 0.0), times, OFF_SPEED, np.maximum(-off_now, 0.0))
-        self._ahead = times, folded, moved
+        self._ahead, self.narrow = (times, folded, moved), bool((folded > 1e-3).any())
         self._schedule(times, folded)
 
     def _along(self, reference: Reference, times: Array) -> Array:
