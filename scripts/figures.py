@@ -98,6 +98,11 @@ def outcomes(cell: Cell) -> str:
     return ", ".join(f"{found[k]} {k.replace('_', ' ')}" for k in sorted(found, key=lambda k: (k != "completed", k)))
 
 
+def ended(cell: Cell) -> bool:
+    """Whether runs ended otherwise than they were to, and count as success nevertheless."""
+    return cell["failures"]["failed"] < sum(n for how, n in cell["outcomes"].items() if how != "completed")
+
+
 def loads(cells: list[Cell], commit: str) -> str:
     """For each experiment conditions down and metrics across; how many runs did not complete."""
     text = ""
@@ -108,7 +113,10 @@ def loads(cells: list[Cell], commit: str) -> str:
         for cell in mine:
             failed, found = cell["failures"], cell["metrics"]
             shown = ("{} ({}, {})".format(*figures(found[m])) for m in names)
-            rows.append([cell["condition"], f"{failed['failed']} of {failed['count']}", *shown])
+            unsuccessful = f"{failed['failed']} of {failed['count']}"
+            rows.append(
+                [cell["condition"], f"{unsuccessful}; {outcomes(cell)}" if ended(cell) else unsuccessful, *shown]
+            )
         text += f"### `{experiment}`\nMedian (95 %, worst), commit {commit}.\n\n"
         text += table(["condition", "failed", *(f"`{m}`" for m in names)], rows)
     return text

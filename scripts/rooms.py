@@ -34,7 +34,7 @@ def cells(things: str, method: str, rows: list[Row]) -> list[str]:
     passed = [r for r in rows if r["metric.passed"] == 1.0]
     arrival = f"{np.median([r['metric.arrival_time'] for r in passed]):.1f}" if passed else "–"
     return [
-        things, METHODS[method], str(len(rows)), str(len(passed)), str(sum(r["outcome"] == "stuck" for r in rows)),
+        things, METHODS[method], str(len(rows)), str(len(passed)), str(sum(r["outcome"] in ("stuck", "declined") for r in rows)),
         str(sum(r["metric.obstacle_contacts"] > 0 for r in rows)), arrival,
         f"{1e3 * min(r['metric.obstacle_clearance_min'] for r in rows):.0f}", median("metric.solve_time_mean", 1e3),
         median("metric.alternatives_computation", digits=2), median("metric.planning_time", digits=2),

@@ -40,6 +40,19 @@ def test_an_installed_package_has_no_commit(tmp_path: Path, monkeypatch: pytest.
     assert provenance.commit.__wrapped__() == ""
 
 
+def test_tables_of_conditions_count_what_they_accept_apart() -> None:
+    """Of four runs one fell and one was accepted; where all that did not complete are failures the count alone says so."""
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        from figures import loads
+    finally:
+        sys.path.remove(str(ROOT / "scripts"))
+    cell: Any = {"experiment": "corridor", "condition": "narrow", "metrics": {}, "failures": {"failed": 1, "count": 4},
+                 "outcomes": {"completed": 2, "declined": 1, "fell": 1}}  # fmt: skip
+    assert "| narrow | 1 of 4; 2 completed, 1 declined, 1 fell |" in loads([cell], "abc")
+    assert "| narrow | 2 of 4 |" in loads([{**cell, "failures": {"failed": 2, "count": 4}}], "abc")
+
+
 def test_tables_of_goals_name_the_commit(tmp_path: Path) -> None:
     """Of an experiment without runs the old rows stay, and so does the page of a robot without a study."""
     (tmp_path / "results").mkdir()

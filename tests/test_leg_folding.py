@@ -55,15 +55,22 @@ def folding(robot: wb.RobotModel, offset: float | None = 0.0) -> tuple[LegFoldin
         period=0.02,
         set_schedule=lambda s: None,
     )
-    return LegFolding(robot, mpc), mpc
+    made = LegFolding(robot, mpc)
+
+    def as_planned(copy: bool = True) -> Any:
+        """Of legs that are where they were to be."""
+        return SimpleNamespace(x=robot.home[None] if made._set is None else made._set.values[:1])
+
+    mpc.solver = SimpleNamespace(trajectory=as_planned)
+    return made, mpc
 
 
 def test_legs_fold_as_far_as_their_wheels_need(robot: wb.RobotModel) -> None:
     made, mpc = folding(robot)
     times = np.array([2.0, 8.0, 11.0])  # before; front legs inside; all inside
     states = path(robot, times)
-    shares, aside = made.needed(mpc.obstacles.snapshot(0.0), times, states)
-    assert not shares[0].any() and not aside.any()
+    shares, off = made.needed(mpc.obstacles.snapshot(0.0), times, states)
+    assert not shares[0].any() and not off.any()
     assert (shares[1, :2] > 0.3).all() and not shares[1, 2:].any() and (shares[2] > 0.3).all()
     truth = TrueDistance(robot, [(mujoco.mjtGeom.mjGEOM_BOX, HALF)] * 2)
     names = ("leg", "steer", "wheel")
@@ -99,8 +106,43 @@ def test_the_base_moves_aside_where_its_body_needs_it(robot: wb.RobotModel) -> N
     """The body is 0.8 m wide: in the middle of a wall's gap of 1 m, 0.1 m are left; 0.08 m off only 0.02 m."""
     made, mpc = folding(robot, 0.08)
     times = np.array([2.0, 11.0])
-    _, aside = made.needed(mpc.obstacles.snapshot(0.0), times, path(robot, times))
-    assert aside[0] == 0.0 and 0.03 <= aside[1] <= 0.08
+    _, off = made.needed(mpc.obstacles.snapshot(0.0), times, path(robot, times))
+    assert not off[0].any() and off[1, 1] == 0.0 and 0.03 <= off[1, 0] <= 0.08
+
+
+def test_legs_fold_in_a_corridor_that_turns_off_from_the_way(robot: wb.RobotModel) -> None:
+    """By 5 degrees, 6 cm wider than the body: as the reference lies the body overlaps both walls, turned and aside it passes."""
+    made, mpc = folding(robot, None)
+    at = [np.array([BEGIN + HALF[0], s * (0.43 + HALF[1]), HALF[2]]) for s in (1.0, -1.0)]
+    for k, place in enumerate(at):
+        mpc.obstacles.set(f"wall{k}", wb.shapes.Box(tuple(HALF)), position=place)
+    x = robot.home.copy()
+    x[:3] = BEGIN + HALF[0], 0.1, 0.087
+    truth = TrueDistance(robot, [(mujoco.mjtGeom.mjGEOM_BOX, HALF)] * 2)
+    names = ("body", "base", "leg", "steer", "wheel")
+    truth.own = [g for g in truth.own if truth.model.body(truth.model.geom_bodyid[g]).name.startswith(names)]
+    assert truth(x, at) < 0.0
+    shares, off = made.needed(mpc.obstacles.snapshot(0.0), np.zeros(1), x[None])
+    x = made._moved(x[None], off)[0]
+    leg = robot.state["leg"]
+    x[leg] += shares[0] * (made._narrow - x[leg])
+    assert truth(x, at) > 0.5 * robot.description.collision.margin
+
+
+def test_legs_fold_for_where_a_reference_leads_that_waits(robot: wb.RobotModel) -> None:
+    """What they are in the way of makes it wait: it never leads there before they fold."""
+    made, mpc = folding(robot)
+    running = mpc.reference["state"]
+    before = 7.0  # the front legs are inside, the back ones are not
+    mpc.reference["state"] = wb.Reference(np.array([0.0]), path(robot, np.array([before])))
+    made.update(0.0, wb.Reference(running.times - before, running.values))
+    assert made._ahead is not None
+    shares = made._ahead[1]
+    assert (shares.max(axis=0) > 0.3).all()
+    late, other = folding(robot)
+    other.reference["state"] = wb.Reference(np.array([0.0]), path(robot, np.array([before])))
+    late.update(0.0)
+    assert late._ahead is not None and not late._ahead[1][:, 2:].any()
 
 
 def test_where_the_body_does_not_pass_nothing_folds(robot: wb.RobotModel) -> None:
@@ -109,8 +151,8 @@ def test_where_the_body_does_not_pass_nothing_folds(robot: wb.RobotModel) -> Non
     pillar = wb.shapes.Cylinder((0, 0, 0), (0, 0, 1.5), 0.1)
     mpc.obstacles.set("pillar", pillar, position=(2.0, 0.0, 0.0))
     times = np.array([8.0, 8.0])
-    shares, aside = made.needed(mpc.obstacles.snapshot(0.0), times, path(robot, times))
-    assert not shares.any() and not aside.any()
+    shares, off = made.needed(mpc.obstacles.snapshot(0.0), times, path(robot, times))
+    assert not shares.any() and not off.any()
     mpc.obstacles.set("pillar", pillar, position=(1.75, 0.7, 0.0), velocity=(0.0, 0.01, 0.0), seen=0.0)
     shares, _ = made.needed(mpc.obstacles.snapshot(0.0), np.array([4.0]), path(robot, np.array([4.0])))
     made.update(0.0)
@@ -152,6 +194,31 @@ def test_legs_are_folded_before_they_have_to_be(robot: wb.RobotModel) -> None:
     for t, share in zip(times[late], shares[late], strict=True):
         early = planned[np.abs(times - (t - FOLDED_AHEAD)) < 1e-6][0]
         assert (early >= share - 1e-9).all(), t
+
+
+def test_the_brake_of_a_leg_that_lags_waits_for_it(robot: wb.RobotModel) -> None:
+    """One back leg stays 8 degrees behind: its brake alone is open after the others have closed, until it has arrived."""
+    made, mpc = folding(robot, None)
+    for k, side in enumerate((1.0, -1.0)):  # 6 m long: all legs are inside from 11 s to 24 s
+        wall, place = wb.shapes.Box((3.0, *HALF[1:])), (BEGIN + 3.0, side * (0.5 * WIDTH + HALF[1]), HALF[2])
+        mpc.obstacles.set(f"wall{k}", wall, position=place)
+    running, leg, as_planned, late = mpc.reference["state"], robot.state["leg"], mpc.solver.trajectory, np.zeros(4)
+
+    def behind(copy: bool = True) -> Any:
+        x = as_planned().x.copy()
+        x[0, leg] += late * np.sign(robot.home[leg])
+        return SimpleNamespace(x=x)
+
+    def follow(begin: float, end: float) -> np.ndarray:
+        for t in np.arange(begin, end, CHECK_INTERVAL):
+            mpc.reference["state"] = running
+            made.update(float(t))
+        return made.brakes.commanded(end) > 0.5
+
+    mpc.solver.trajectory, late[3] = behind, np.radians(8.0)
+    np.testing.assert_array_equal(follow(0.0, 14.0), [False, False, False, True])
+    late[3] = 0.0
+    assert not follow(14.0, 16.0).any()
 
 
 def test_without_obstacles_nothing_changes(robot: wb.RobotModel) -> None:

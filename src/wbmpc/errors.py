@@ -51,6 +51,10 @@ class RobotStuck(RunAborted):
     """The robot stands away from its goal, and its plans do not lead there."""
 
 
+class WayDeclined(RobotStuck):
+    """The robot stands in front of what it does not get through, and can turn back: it reported that before it entered."""
+
+
 class NoRoute(WbmpcError):
     """No route from the start to the goal was found."""
 

@@ -145,6 +145,8 @@ class Run:
         """What kind of failure it was if it was one."""
         if self.ending.fell or self.collision:
             return "fell" if self.ending.fell else "collided"
+        if self.ending.declined:
+            return "declined"
         return "stuck" if self.ending.stuck else "gave_up"
 
 

@@ -16,8 +16,9 @@ from wbmpc.plots.series import Plot as Plot
 from wbmpc.plots.series import Series as Series
 from wbmpc.units import scale
 
-#: How a run ended: in one word. Only the first is a success. ``rejected``: it did not start.
-OutcomeName = Literal["completed", "gave_up", "stuck", "fell", "collided", "rejected", "interrupted"]
+#: How a run ended: in one word. Only the first is a success. ``declined``: the robot reported that it does not get through before it entered;
+#: ``rejected``: it did not start.
+OutcomeName = Literal["completed", "gave_up", "stuck", "declined", "fell", "collided", "rejected", "interrupted"]
 #: A run in which a larger share of the solves gave no new plan was not controlled by the MPC: it is not completed.
 MAX_FAILED = 0.1
 

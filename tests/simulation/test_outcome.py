@@ -67,6 +67,8 @@ def test_a_robot_that_is_given_up_has_fallen_if_it_lies_in_the_end() -> None:
         (Ending(), True, "collided"),
         (Ending("stopped"), False, "gave_up"),
         (Ending("stopped", stuck=True), False, "stuck"),
+        (Ending("stopped", stuck=True, declined=True), False, "declined"),
+        (Ending("stopped", stuck=True, declined=True), True, "collided"),
         (Ending("stopped"), True, "collided"),
         (Ending("stopped", fell=True), True, "fell"),
         (Ending("stopped", interrupted=True), True, "interrupted"),

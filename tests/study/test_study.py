@@ -56,6 +56,17 @@ def test_a_row_for_each_run_and_what_they_say(tmp_path: Path) -> None:
     assert "a valley" in page and "seed by seed" in page and "it fell" in page
 
 
+def test_outcomes_that_a_condition_accepts_are_no_failures(tmp_path: Path) -> None:
+    """Seeds 308 and 309 end as declined, with an error of 1e-6: their figures count where that is accepted, and the tables count them apart."""
+    text = TEXT.replace("fall_from: 308", "fall_from: 308, failure: declined")
+    text = text.replace("far: {settings: {control.gain: 5}}", "far: {settings: {control.gain: 5}, accept: [declined]}")
+    strict, accepting = Study.load(study(tmp_path, text), tmp_path / "out").run(workers=0).to_json()["cells"]
+    for cell, failed in ((strict, 2), (accepting, 0)):
+        assert cell["failures"]["failed"] == failed and cell["outcomes"] == {"completed": 8, "declined": 2}
+    assert strict["metrics"]["error"]["worst"] is None
+    assert accepting["metrics"]["error"]["worst"] == pytest.approx(error(5.0, 0.0, 307))
+
+
 def test_it_goes_on_and_errors_are_tried_again(tmp_path: Path) -> None:
     file = study(tmp_path, TEXT.replace("fall_from: 308", "raise_at: 304"))
     made = Study.load(file, tmp_path / "out")

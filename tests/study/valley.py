@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.experiment import Experiment
 from wbmpc.log import Log
-from wbmpc.result import Metric, MpcStatistics, RunResult
+from wbmpc.result import Metric, MpcStatistics, OutcomeName, RunResult
 
 #: Where the error is least.
 BEST = 3.0
@@ -23,7 +23,8 @@ class Inner(BaseModel):
 
 
 class ValleySettings(BaseModel):
-    """``goal`` [m]: of the error; ``shift`` [m] adds to it; ``fall_from``: seeds from this on fall; ``die_at``: the process of this seed is
+    """``goal`` [m]: of the error; ``shift`` [m] adds to it; ``fall_from``: seeds from this on fall, or
+    end as ``failure`` says; ``die_at``: the process of this seed is
     killed; ``raise_at``: this one has an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -33,6 +34,7 @@ class ValleySettings(BaseModel):
     goal: float = 0.5
     robot: str = "one"
     fall_from: int = 10**9
+    failure: OutcomeName = "fell"
     die_at: int = -1
     raise_at: int = -1
 
@@ -59,7 +61,7 @@ def run(s: ValleySettings, seed: int, progress: Callable[[float, str], None] | N
         "threads": Metric(float(os.environ.get("OMP_NUM_THREADS", "0")), "1"),
     }
     mpc = MpcStatistics.of(50.0, [0.001, 0.003], 10)
-    return RunResult("valley", seed, not fell, "it fell" if fell else "", metrics, mpc, Log(), failure="fell",
+    return RunResult("valley", seed, not fell, "it fell" if fell else "", metrics, mpc, Log(), failure=s.failure,
                      settings=s.model_dump(mode="json"))  # fmt: skip
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from wbmpc.model.tree import Tree
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
-    from wbmpc.ocp import Constraint, Mode
+    from wbmpc.ocp import Constraint, Mode, Reference
     from wbmpc.robots.description import LimitsDescription, RobotDescription
     from wbmpc.robots.findings import Finding
     from wbmpc.robots.mechanism import Mechanism
@@ -256,13 +256,15 @@ class System:
 
 class Reshaping(Protocol):
     """Adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the robot at home
-    in its narrowest shape; ``free``: the mode in which its shape may change."""
+    in its narrowest shape; ``free``: the mode in which its shape may change; ``narrow``: whether its shape changes for what lies ahead."""
 
     narrowest: Array
     free: Mode
+    narrow: bool
 
-    def update(self, t: float) -> None:
-        """Set references and modes of its MPC for updates from ``t`` [s] on, after the reference "state" is set."""
+    def update(self, t: float, ahead: Reference | None = None) -> None:
+        """Set references and modes of its MPC for updates from ``t`` [s] on, after the reference "state" is set. ``ahead``: that
+        reference as it goes on if it does not have to wait for the robot; None: it never waits."""
 
 
 class BaseType(Protocol):

@@ -83,8 +83,10 @@ class Alternatives:
     to move and to turn in place.
 
     Call :meth:`advance` once before each update of the MPC, after that of ``pace``. ``failed``: number of consecutive searches without a
-    result while a static obstacle held up the references; ``searches``: number of finished searches; ``taken``: times [s] and names of the
-    paths that were taken; ``computation`` [s]: time of all searches. During a detour the base has a weight in the cost "state".
+    result while a static obstacle held up the references; ``can_leave``: whether the robot was, in the last search, where it is clear as it is
+    at home and had a place to turn behind it; ``searches``: number of finished searches; ``taken``: times [s] and names of the
+    paths that were taken; ``computation`` [s]: time of all searches. During a detour, and where ``reshaping`` leads it through what is narrow,
+    the base has a weight in the cost "state".
     ``reshaping``: changes the base's shape on the way (:meth:`wbmpc.bases.base.BaseType.reshaping`; None: its shape stays). Raises
     :class:`InputError` for an MPC without obstacles or with progress along a path, and a base that does not move or balances.
     """
@@ -99,6 +101,7 @@ class Alternatives:
         self._world = Obstacles()
         self._ahead = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, plan_only_limits=True, obstacles=self._world)
         self.failed, self.searches, self.computation = 0, 0, 0.0
+        self.can_leave = False
         self.taken: list[tuple[float, str]] = []
         self._waits_since: float | None = None
         self._not_before = -np.inf
@@ -119,9 +122,7 @@ class Alternatives:
         t, began = absolute_time("alternatives", t), time.perf_counter()
         if self._pace.time >= self._until > -np.inf:
             self._until = -np.inf
-            if self._weights is not None:
-                self._mpc.solver.set_weight("state", self._weights)
-                self._weights = None
+        self._weigh_base(self._until > -np.inf or (self._reshaping is not None and self._reshaping.narrow))
         if self._pace.rate >= WAITS or self._pace.time >= self._pace.end:
             self._waits_since, self.failed = None, 0
             self._ways = []
@@ -151,6 +152,8 @@ class Alternatives:
             return
         self._found, self._solves = [], 0
         start = self._now(t)[base_part(robot)]
+        here = Footprint(robot, still, (1.0 - TOLERATED) * margin, t).clear(start[None])[0]
+        self.can_leave = bool(here) and self._off(footprint, start) is not None
         found = self._ways_of(footprint, start, times, places, clear)
         if self._reshaping is not None:
             shape = self._reshaping.narrowest
@@ -307,15 +310,24 @@ class Alternatives:
         times, base = timed_route(way.poses, SPEED, TURN_SPEED, RAMP)
         poses = swung_poses(self._robot, times, base, self._now(t))
         ways = {"end_effector": Reference.poses(times, poses[:, :3], poses[:, 3:])}
-        solver = self._mpc.solver
-        part = solver.problem.constant.slices.get("path.state")
-        before = [] if part is None else solver.constants[part].tolist()
-        if weigh_base(solver, self._robot):
-            self._weights = self._weights or before
+        if self._weigh_base(True):
             ways["state"] = Reference(times, carried_states(self._robot, base))
         self._until = self._pace.time + float(times[-1])
         self._pace.detour(ways, way.rejoin)
         self._waits_since, self._not_before = None, t + AFTER
+
+    def _weigh_base(self, on: bool) -> bool:
+        """Give the base a weight in the cost "state", or take it away again; whether it has one now."""
+        solver = self._mpc.solver
+        if on and self._weights is None:
+            part = solver.problem.constant.slices.get("path.state")
+            before = [] if part is None else solver.constants[part].tolist()
+            if weigh_base(solver, self._robot):
+                self._weights = before
+        elif not on and self._weights is not None:
+            solver.set_weight("state", self._weights)
+            self._weights = None
+        return self._weights is not None
 
 
 def _way(poses: list[Array]) -> Array:

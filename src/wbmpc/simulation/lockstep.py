@@ -25,6 +25,7 @@ from wbmpc.errors import (
     RobotStuck,
     RunAborted,
     SensorFailure,
+    WayDeclined,
 )
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -47,14 +48,16 @@ LONGEST_RUN = 1e6
 
 @dataclass(frozen=True)
 class Ending:
-    """How a run ended: an empty ``reason`` when nothing ended it early; ``fell``, ``stuck`` and ``interrupted`` (by the user: Ctrl-C, a
-    view) say what kind of end it was. ``contacts``: of its simulated robots, where they are monitored."""
+    """How a run ended: an empty ``reason`` when nothing ended it early; ``fell``, ``stuck``, ``declined`` (stuck in front of what it did not
+    enter) and ``interrupted`` (by the user: Ctrl-C, a view) say what kind of end it was. ``contacts``: of its simulated robots, where they
+    are monitored."""
 
     reason: str = ""
     fell: bool = False
     interrupted: bool = False
     contacts: tuple[Contacts, ...] = field(default=(), compare=False, repr=False)
     stuck: bool = False
+    declined: bool = False
 
     @classmethod
     def of(cls, *plants: Plant[Any, Any], reason: str = "") -> Ending:
@@ -332,7 +335,7 @@ def _tick(
     except (SensorFailure, DisturbanceTooLarge) as error:
         return Ending(f"stopped at {t:.2f} s: {error}")
     except RobotStuck as error:
-        return Ending(f"stopped at {t:.2f} s: {error}", stuck=True)
+        return Ending(f"stopped at {t:.2f} s: {error}", stuck=True, declined=isinstance(error, WayDeclined))
     except RunAborted as error:
         return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))
     except NotFinite as error:

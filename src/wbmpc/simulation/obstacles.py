@@ -45,7 +45,8 @@ class SimulatedObstacles:
     """Obstacles that move at constant velocities from when they appear. Coordinates are those of the planner's world, in which the floor is at
     ``ground`` [m].
 
-    ``least`` [m]: the smallest true distance of the robot to any of them so far; ``contacts``: how often it began to touch one;
+    ``least`` [m]: the smallest true distance of the robot to any of them so far; ``nearest``: the name of the one nearest to it when it was measured
+    last, empty if none is near; ``contacts``: how often it began to touch one;
     ``contact_speed`` [m/s]: the largest speed at which a part of the robot moved into one when a contact began; ``caused``: how many began
     with such a speed above :data:`AT_REST`, the others came to a robot that stood or backed off; ``pushed`` [s]: the longest time in
     which one of them touched the robot.
@@ -59,7 +60,7 @@ class SimulatedObstacles:
                 raise InputError(f"{one.where or one.name}: a distance grid cannot be simulated; valid: other shapes")
             world.set(one.name, one.shape, seen=one.appears, **one.place)
         self._by_name = {o.name: o for o in world.snapshot(0.0).obstacles}
-        self.least, self.contacts, self.contact_speed = FAR, 0, 0.0
+        self.least, self.nearest, self.contacts, self.contact_speed = FAR, "", 0, 0.0
         self.caused, self.pushed = 0, 0.0
         self._model: mujoco.MjModel | None = None
         self._known: set[str] = set()
@@ -141,15 +142,22 @@ class SimulatedObstacles:
     def distance(self, data: mujoco.MjData) -> float:
         """The least distance [m] now, :data:`~wbmpc.simulation.contacts.FAR` at most."""
         at = data.geom_xpos[self._pairs]
+        assert self._model is not None
         bound = np.linalg.norm(at[:, 0] - at[:, 1], axis=1) - self._reach
-        nearest, ends = FAR, np.zeros(6)
+        nearest, ends, self.nearest = FAR, np.zeros(6), ""
         for k in np.argsort(bound):
             if bound[k] >= nearest:
                 break
             g, o = self._pairs[k].tolist()
-            nearest = min(nearest, mujoco.mj_geomDistance(self._model, data, g, o, nearest, ends))
+            distance = mujoco.mj_geomDistance(self._model, data, g, o, nearest, ends)
+            if distance < nearest:
+                nearest, self.nearest = distance, self._name_of[int(self._model.geom_bodyid[o])]
         self.least = min(self.least, nearest)
         return nearest
+
+    def velocity(self, name: str) -> Array:
+        """Velocity (3) [m/s] of an obstacle; zero without a name."""
+        return self._by_name[name].velocity if name else np.zeros(3)
 
     def count_contacts(self, data: mujoco.MjData, t: float) -> None:
         """Count contacts that have begun by ``t`` [s], and how fast they are."""

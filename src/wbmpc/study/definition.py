@@ -20,6 +20,7 @@ from pydantic import (
 from wbmpc.configuration import describe
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.reproduce import parse_seeds
+from wbmpc.result import OutcomeName
 from wbmpc.settings import LARGEST
 from wbmpc.yaml_file import load_yaml
 
@@ -124,10 +125,12 @@ Searched = Annotated[Any, BeforeValidator(_searched)]
 
 
 class Condition(Section):
-    """Settings under a name; ``experiments``: those that it is of (all when left out)."""
+    """Settings under a name; ``experiments``: those that it is of (all when left out); ``accept``: outcomes that count as success
+    beside ``completed``: their figures count as they are."""
 
     settings: dict[str, Any] = {}
     experiments: tuple[str, ...] = ()
+    accept: tuple[OutcomeName, ...] = ()
 
 
 class Term(Section):

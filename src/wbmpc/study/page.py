@@ -139,8 +139,7 @@ def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[s
     """Those that the data allow: title, figure, and whether it is as wide as the page."""
     shown, cells = metric_scale(summary, cells, metric), cells[:MAX_SHOWN]
     values = [
-        shown.factor * np.where(c.completed, c.figures.get(metric, np.full(c.seeds.size, np.nan)), np.nan)
-        for c in cells
+        shown.factor * np.where(c.accepted, c.figures.get(metric, np.full(c.seeds.size, np.nan)), np.nan) for c in cells
     ]
     if not any(np.isfinite(v).any() for v in values):
         return []

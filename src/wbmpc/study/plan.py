@@ -28,7 +28,7 @@ class Combination:
 
     ``source``: the experiment's name, or the absolute path of its Python file. ``varied``: what distinguishes it from others of the
     experiment and condition, by key; ``changes``: all settings that are not the experiment's default. ``key``: a hash of condition
-    and complete settings.
+    and complete settings. ``accept``: outcomes that count as success beside ``completed``.
     """
 
     experiment: str
@@ -40,6 +40,7 @@ class Combination:
     settings: Mapping[str, Any] = field(repr=False)
     draw: int = 0
     inputs: tuple[tuple[Callable[[Any], object], Any], ...] = field(default=(), repr=False)
+    accept: tuple[str, ...] = ()
 
     @cached_property
     def key(self) -> str:
@@ -147,7 +148,8 @@ def _combination(
         raise InputError(f"{where}: {error}") from error
     model = settings_of(experiment, changes, _place(where, name, condition))
     settings, inputs = model.model_dump(mode="json"), tuple(ReadBy.named(model))
-    return Combination(experiment.name, source, condition, robot, varied, changes, settings, draw, inputs)
+    accept = about.accept if about else ()
+    return Combination(experiment.name, source, condition, robot, varied, changes, settings, draw, inputs, accept)
 
 
 def check_inputs(found: list[Combination], where: str) -> None:

@@ -24,7 +24,8 @@ _NONE: dict[str, float | None] = {"paper": None, "goal": None, "least": None}
 
 @dataclass(frozen=True)
 class Cell:
-    """Runs of one combination, by its ``key``: ``seeds`` (n,), ``completed`` (n,), figures by metric (n,), nan where a run has none."""
+    """Runs of one combination, by its ``key``: ``seeds`` (n,), figures by metric (n,), nan where a run has none; ``accept``: outcomes that count
+    as success beside ``completed``."""
 
     key: str
     experiment: str
@@ -37,21 +38,22 @@ class Cell:
     figures: Mapping[str, np.ndarray] = field(repr=False)
     reasons: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    accept: tuple[str, ...] = ()
 
     @property
-    def completed(self) -> np.ndarray:
-        return np.array([outcome == "completed" for outcome in self.outcomes])
+    def accepted(self) -> np.ndarray:
+        """Whether (n,) each run is a success."""
+        return np.array([outcome in ("completed", *self.accept) for outcome in self.outcomes])
 
     @property
     def failures(self) -> Rate:
-        """Runs that did not complete."""
-        return failure_rate(int((~self.completed).sum()), len(self.outcomes))
+        """Runs that are no success."""
+        return failure_rate(int((~self.accepted).sum()), len(self.outcomes))
 
     def judged(self, metric: str, largest_is_worst: bool = True) -> np.ndarray:
-        """The metric's values (n,); a run that did not complete, or has no such figure, is infinitely bad: what it measured before its
-        end is no success."""
+        """The metric's values (n,); a run that is no success, or has no such figure, is infinitely bad."""
         values = self.figures.get(metric, np.full(self.seeds.size, np.nan))
-        return np.where(self.completed & ~np.isnan(values), values, np.inf if largest_is_worst else -np.inf)
+        return np.where(self.accepted & ~np.isnan(values), values, np.inf if largest_is_worst else -np.inf)
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,8 @@ def summarize(
             rows = rows[np.argsort(seeds[rows])]
             values = {n: v[rows] for n, v in figures.items() if not np.isnan(v[rows]).all()}
             found = (tuple(outcomes[rows]), values, tuple(texts["reason"][rows]), tuple(texts["files"][rows]))
-            cells.append(Cell(c.key, c.experiment, c.label, c.condition, c.robot, c.varied, seeds[rows], *found))
+            about = (c.key, c.experiment, c.label, c.condition, c.robot, c.varied, seeds[rows])
+            cells.append(Cell(*about, *found, c.accept))
     targets = targets_of(table.schema)
     bad = [k for k in range(len(keys)) if outcomes[k] in ("error", "lost")]
     lost = Counter(f"{outcomes[k]}: {texts['reason'][k]}" for k in bad)

@@ -30,6 +30,8 @@ DEFINITIONS: Definitions = {
     "contact_speed_max": ("m/s", "largest speed of a part of the robot into an obstacle that it touches"),
     "pushed_time_max": ("s", "longest contact with an obstacle"),
     "time_stuck": ("s", "time in which the robot stood still at least 5 cm from its reference"),
+    "standing_time_max": ("s", "longest time in which the end effector stayed within 5 cm of a place while it, or its reference, was held up"),
+    "driven_back_time_max": ("s", "longest time in which the robot went back before an obstacle within 30 cm, at half its speed at least"),
     "braking_plans": ("1", "plans that stop the robot"),
     "reference_delay": ("s", "how long the references waited for the robot"),
     "goal_missed": ("m", "distance of the end effector from the end of its path; true"),

@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.bases.base import Reshaping, System
-from wbmpc.errors import RobotStuck
+from wbmpc.errors import RobotStuck, WayDeclined
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.alternatives import Alternatives
+from wbmpc.mpc.alternatives import WAITS, Alternatives
 from wbmpc.mpc.pace import PacedReferences
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.obstacles import SimulatedObstacles
 from wbmpc.tasks.perception import Perception
+from wbmpc.tasks.progress import DrivenBack, Standing
 
 Array = NDArray[np.float64]
 #: How near [m] to the end of its path the end effector shall be at the end.
@@ -76,7 +77,8 @@ class SceneWatch:
         if self._perception is None and system.mpc.obstacles is not None:  # the first plan knows them
             pose = system.plant.truth().pose
             around.show(system.mpc.obstacles, 0.0, pose, pose)
-        self._waits, self._stuck, self._last = 0.0, 0.0, np.zeros(3)
+        self._waits, self._stuck, self._last, self._base = 0.0, 0.0, np.zeros(3), np.zeros(2)
+        self._standing, self._driven = Standing(), DrivenBack()
         self._places: deque[tuple[float, Array]] = deque()
 
     def tick(self, t: float, plans: Any) -> None:
@@ -96,17 +98,18 @@ class SceneWatch:
             if self._alternatives is not None:
                 self._alternatives.advance(t)
             if self._reshaping is not None:
-                self._reshaping.update(t)
+                self._reshaping.update(t, self._pace.running(t).get("state") if self._pace is not None else None)
         around.count_contacts(data, t)
         if k % self._every == 0:
             planned = plans.current.clearance
-            self._log.add("obstacle_clearance", t, around.distance(data))
+            distance = around.distance(data)
+            self._log.add("obstacle_clearance", t, distance)
             self._log.add("planned_clearance", t, planned.distance if planned is not None and planned.frame else np.nan)
-            self._progress(t)
+            self._progress(t, distance)
 
-    def _progress(self, t: float) -> None:
-        """Count the time in which the robot stands away from its goal."""
-        mpc, tool = self._system.mpc, self._system.plant.truth().tool
+    def _progress(self, t: float, distance: float) -> None:
+        """Count the time in which the robot stands away from its goal, ``distance`` [m] from the nearest obstacle."""
+        mpc, tool, around = self._system.mpc, self._system.plant.truth().tool, self._around
         moved, self._last = float(np.linalg.norm(tool - self._last)), tool
         path = mpc.path.following.path if mpc.path.following else None
         # who goes as far as obstacles allow is where it is to be, and stuck nevertheless
@@ -118,6 +121,11 @@ class SceneWatch:
         self._waits = self._waits + h if behind > BEHIND and moved < SLOW * h else 0.0
         if self._waits >= LONG:
             self._stuck += h if self._waits > LONG + 0.5 * h else LONG
+        held_up = self._pace is not None and self._pace.rate < WAITS and self._pace.time < self._pace.end
+        self._standing.update(t, tool, behind > BEHIND or held_up)
+        base, near = self._system.plant.truth().pose[:2].copy(), around.nearest
+        went, self._base = (base - self._base) / h, base
+        self._driven.update(t, went, goal[:2] - tool[:2], around.velocity(near)[:2], distance)
         self._check_progress(t, tool)
 
     def _check_progress(self, t: float, tool: Array) -> None:
@@ -127,9 +135,10 @@ class SceneWatch:
         others = self._alternatives
         tries = others is not None and others.searching
         if others is not None and others.failed >= FAILED:
-            raise RobotStuck(
-                f"the robot is stuck {self._pace.missed(tool):.2f} m from its goal, no other way was found"
-            )
+            left = f"{self._pace.missed(tool):.2f} m from its goal, no other way was found"
+            if others.can_leave:
+                raise WayDeclined(f"the robot does not enter what it does not get through, {left}")
+            raise RobotStuck(f"the robot is stuck {left}")
         if not self._pace.waits or self._pace.waits_for(t) or tries:
             self._places.clear()
         self._places.append((t, tool.copy()))
@@ -154,6 +163,8 @@ class SceneWatch:
             "contact_speed_max": Metric(around.contact_speed, "m/s"),
             **(caused if self._system.plant.has_physics else {}),
             "time_stuck": Metric(self._stuck, "s"),
+            "standing_time_max": Metric(self._standing.longest, "s"),
+            "driven_back_time_max": Metric(self._driven.longest, "s", goal=2.0),
             "braking_plans": Metric(float(self._system.mpc.statistics.braking_plans), "1"),
             **(self._perception.metrics() if self._perception else {}),
             **waited,

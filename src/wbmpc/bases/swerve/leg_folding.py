@@ -1,9 +1,9 @@
 """Legs that fold where it is narrow: as wide as the clearance along the base's reference allows, with brakes that open for it.
 
 Gradients of distances are local: a leg in front of a wall may as well fold to the wrong side. So leg angles are references that look
-ahead. At each place of the base's reference the base moves aside as little as its body needs, and each leg turns from where it is asked
-to be towards the body's axis as little as its own parts need; how fast legs turn is limited, so that they fold in good time. A brake
-is open while its leg's reference turns.
+ahead. At each place of the base's reference the base moves aside and turns as little as its body needs, and each leg turns from where it is
+asked to be towards the body's axis as little as its own parts need; how fast legs turn is limited, so that they fold in good time. A brake
+is open while its leg's reference turns, and until the leg is folded as far.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ BEYOND_HORIZON = 4.0
 REFRESH_PERIOD = 0.2
 #: Shares of the way of a leg that are tried, from where it is asked to be to where it is narrowest.
 SHARES = np.linspace(0.0, 1.0, 13)
-#: Ways [m] by which the base moves aside that are tried, to the left and to the right: the shortest that is clear is taken.
-ASIDE = np.array([0.0, 0.03, -0.03, 0.06, -0.06, 0.09, -0.09, 0.12, -0.12])
+#: Ways aside [m] and turns [rad] of the base that are tried, to the left and to the right; length [m] by which a turn counts as a way. Of those
+#: that are clear the shortest is taken.
+ASIDE, TURNS, LEVER = 0.03 * np.arange(-8, 9), 0.04 * np.arange(-3, 4), 0.5
 #: What is asked for beyond the margin [m].
 GAP = 0.02
 #: Distances [m] beyond this count as this.
@@ -42,10 +43,12 @@ REACH = 0.3
 INWARD = 0.12
 #: Legs turn with this share of their speed limit.
 LEG_SPEED_SHARE = 0.6
-#: The base moves aside so fast [m/s].
-ASIDE_SPEED = 0.05
+#: The base moves aside and turns so fast [m/s], [rad/s].
+OFF_SPEED = np.array([0.05, 0.1])
 #: Legs are folded so long [s] before they have to be: one that lags behind comes in front of what it is to pass, and stays there.
 FOLDED_AHEAD = 1.0
+#: A leg that is farther [rad] from its narrowest place than it is to be is not folded yet: its brake stays open.
+FOLDED = 0.03
 #: Brakes open so long [s] before their leg turns, and close so long after.
 OPEN_BEFORE, OPEN_AFTER = 0.3, 0.6
 
@@ -73,9 +76,9 @@ class LegFolding:
         #: legs at one end of the body fold alike
         self._pair = geometry.hinge[:, 0] > 0.0
         self._rate = LEG_SPEED_SHARE * float(limits.input_upper[robot.input["leg"]].min())
-        self._looked = -np.inf
+        self._looked, self.narrow = -np.inf, False
         self._turned = np.full(geometry.modules, -np.inf)  # when each leg's reference turned last
-        self._ahead: tuple[Array, Array, Array] | None = None  # times (k), shares (k, n), aside (k)
+        self._ahead: tuple[Array, Array, Array] | None = None  # times (k), shares (k, n), off (k, 2)
         self._asked: Reference | None = None
         self._set: Reference | None = None
 
@@ -103,8 +106,9 @@ class LegFolding:
         if hasattr(controller, "brakes"):
             controller.brakes = self.brakes.commanded
 
-    def update(self, t: float) -> None:
-        """Set the reference "state" and the brakes for updates from ``t`` [s] on."""
+    def update(self, t: float, ahead: Reference | None = None) -> None:
+        """Set the reference "state" and the brakes for updates from ``t`` [s] on. ``ahead``: that reference as it goes on if it does not wait:
+        what is in the way of legs makes it wait, and they would not fold for where it does not lead then."""
         reference = self._mpc.reference["state"]
         if reference is not self._set:
             self._asked = reference
@@ -114,29 +118,32 @@ class LegFolding:
             self._looked = t
             there = world.snapshot(t)
             still = tuple(o for o in there.obstacles if not o.velocity.any())  # who walks by is evaded or waited for
-            self._plan_folding(t, Snapshot(still, there.frames), self._asked)
+            self._plan_folding(t, Snapshot(still, there.frames), self._asked, ahead)
         times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + CHECK_INTERVAL)
         values = np.array([self._asked.at(float(at)) for at in times])
-        shares, aside = self._planned(times)
-        self._turned = np.where(np.abs(shares[1] - shares[0]) > 1e-3, t, self._turned)
-        base = self.robot.state["base"].start
-        values[:, base] -= np.sin(values[:, base + 2]) * aside
-        values[:, base + 1] += np.cos(values[:, base + 2]) * aside
-        values[:, self._leg] += shares * (self._narrow - values[:, self._leg])
+        shares, off = self._planned(times)
+        values, asked = self._moved(values, off), values[:, self._leg].copy()
+        values[:, self._leg] += shares * (self._narrow - asked)
+        legs = self._mpc.solver.trajectory(copy=False).x[0, self._leg]
+        lacks = (legs - values[0, self._leg]) * np.sign(asked[0] - self._narrow) > FOLDED
+        self._turned = np.where((np.abs(shares[1] - shares[0]) > 1e-3) | lacks, t, self._turned)
         self._set = Reference(times, values)
         self._mpc.reference["state"] = self._set
 
     def _planned(self, times: Array) -> tuple[Array, Array]:
         if self._ahead is None:
-            return np.zeros((len(times), len(self._turned))), np.zeros(len(times))
-        at, shares, aside = self._ahead
-        return np.stack([np.interp(times, at, s) for s in shares.T], axis=1), np.interp(times, at, aside)
+            return np.zeros((len(times), len(self._turned))), np.zeros((len(times), 2))
+        at, *found = self._ahead
+        shares, off = (np.stack([np.interp(times, at, s) for s in values.T], axis=1) for values in found)
+        return shares, off
 
     # ------------------------------------------------------------------ what is ahead
-    def _plan_folding(self, t: float, snapshot: Snapshot, asked: Reference) -> None:
+    def _plan_folding(self, t: float, snapshot: Snapshot, asked: Reference, running: Reference | None) -> None:
         times = _times(t, self._mpc.ocp.horizon + BEYOND_HORIZON)
-        states = np.array([asked.at(float(at))[: self.robot.state.size] for at in times])
-        shares, aside = self.needed(snapshot, times, states)
+        states = self._along(asked, times)
+        shares, off = self.needed(snapshot, times, states)
+        if running is not None:
+            shares = np.maximum(shares, self.needed(snapshot, times, self._along(running, times))[0])
         ahead = [
             np.vstack([shares[k:], np.repeat(shares[-1:], k, axis=0)])
             for k in range(round(FOLDED_AHEAD / CHECK_INTERVAL) + 1)
@@ -144,42 +151,58 @@ class LegFolding:
         shares = np.max(ahead, axis=0)
         speeds = np.abs(self._narrow - states[:, self._leg]).max(axis=0)
         rate = self._rate / np.maximum(speeds, 1e-3)
-        now, offs = self._planned(times[:1])
-        start, off = now[0], float(offs[0])
-        folded = np.stack([_reachable(s, times, r, b) for s, r, b in zip(shares.T, rate, start, strict=True)], axis=1)
-        sides = _reachable(np.maximum(aside, 0.0), times, ASIDE_SPEED, max(off, 0.0)) - _reachable(
-            np.maximum(-aside, 0.0), times, ASIDE_SPEED, max(-off, 0.0)
-        )
-        self._ahead = times, folded, sides
+        shares_now, off_now = (now[0] for now in self._planned(times[:1]))
+        folded = _all_reachable(shares, times, rate, shares_now)
+        moved = _all_reachable(np.maximum(off, 0.0), times, OFF_SPEED, np.maximum(off_now, 0.0))
+        moved -= _all_reachable(np.maximum(-off, 0.0), times, OFF_SPEED, np.maximum(-off_now, 0.0))
+        self._ahead, self.narrow = (times, folded, moved), bool((folded > 1e-3).any())
         self._schedule(times, folded)
+
+    def _along(self, reference: Reference, times: Array) -> Array:
+        return np.array([reference.at(float(at))[: self.robot.state.size] for at in times])
 
     def needed(self, snapshot: Snapshot, times: Array, states: Array) -> tuple[Array, Array]:
         """Of base poses in ``states`` (k, nx) at ``times`` (k) [s]: shares (k, n) of each leg's way to its narrowest angle, and how far
-        aside (k) [m] the base has to be; zeros where the body does not pass either."""
-        k, m = len(times), len(ASIDE)
+        off (k, 2) the base has to be: aside [m] and turned [rad]; zeros where the body does not pass either."""
         target = float(self.robot.description.collision.margin) + GAP
-        at = np.repeat(times, m)
-        moved = self._shifted(np.repeat(states, m, axis=0), np.tile(ASIDE, k))
-        body = self._distances(snapshot, at, moved, [self._body])[:, 0].reshape(k, m)
-        capped = np.minimum(body, target)
-        passes = capped.max(axis=1) > 0.0
-        aside = np.where(
-            passes, ASIDE[np.argmax(capped, axis=1)], 0.0
-        )  # the first of those that are as good: the nearest
-        turned = np.repeat(self._shifted(states, aside), len(SHARES), axis=0)
+        off, passes = self._passing(snapshot, times, states, target)
+        turned = np.repeat(self._moved(states, off), len(SHARES), axis=0)
         asked = turned[:, self._leg]
-        turned[:, self._leg] = asked + np.tile(SHARES, k)[:, None] * (self._narrow - asked)
+        turned[:, self._leg] = asked + np.tile(SHARES, len(times))[:, None] * (self._narrow - asked)
         legs = self._distances(snapshot, np.repeat(times, len(SHARES)), turned, self._of_leg)
-        clear = legs.reshape(k, len(SHARES), -1) >= target
+        clear = legs.reshape(len(times), len(SHARES), -1) >= target
         shares = np.where(clear.any(axis=1), SHARES[np.argmax(clear, axis=1)], 1.0) * passes[:, None]
         for pair in (self._pair, ~self._pair):
             shares[:, pair] = shares[:, pair].max(axis=1, keepdims=True, initial=0.0)
-        return shares, aside
+        return shares, off
 
-    def _shifted(self, states: Array, aside: Array) -> Array:
+    def _passing(
+        self, snapshot: Snapshot, times: Array, states: Array, target: float
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """How far off (k, 2) the body is clear by ``target`` [m], or by as much as it can be, and whether (k) it passes there. Only places
+        where it is not clear as it is are searched: the nearest place off that is as good as any is taken."""
+        off = np.zeros((len(times), 2))
+        best = self._distances(snapshot, times, states, [self._body])[:, 0]
+        narrow = np.flatnonzero(best < target)
+        if not narrow.size:
+            return off, np.ones(len(times), bool)
+        tried = np.stack(np.meshgrid(ASIDE, TURNS), axis=-1).reshape(-1, 2)
+        tried = tried[np.argsort(np.abs(tried) @ [1.0, LEVER], kind="stable")]
+        at, count = np.repeat(narrow, len(tried)), len(tried)
+        moved = self._moved(states[at], np.tile(tried, (len(narrow), 1)))
+        found = self._distances(snapshot, times[at], moved, [self._body])[:, 0].reshape(-1, count)
+        capped = np.minimum(found, target)
+        passes = best > 0.0
+        passes[narrow] = capped.max(axis=1) > 0.0
+        off[narrow] = np.where(passes[narrow, None], tried[np.argmax(capped, axis=1)], 0.0)
+        return off, passes
+
+    def _moved(self, states: Array, off: Array) -> Array:
+        """States (k, nx) with the base ``off`` (k, 2): aside [m] and turned [rad]."""
         out, base = states.copy(), self.robot.state["base"].start
-        out[:, base] -= np.sin(states[:, base + 2]) * aside
-        out[:, base + 1] += np.cos(states[:, base + 2]) * aside
+        out[:, base] -= np.sin(states[:, base + 2]) * off[:, 0]
+        out[:, base + 1] += np.cos(states[:, base + 2]) * off[:, 0]
+        out[:, base + 2] += off[:, 1]
         return out
 
     def _distances(self, snapshot: Snapshot, times: Array, states: Array, groups: list[Ints]) -> Array:
@@ -205,6 +228,12 @@ class LegFolding:
 
 def _times(t: float, duration: float) -> Array:
     return np.asarray(t + CHECK_INTERVAL * np.arange(round(duration / CHECK_INTERVAL) + 1), float)
+
+
+def _all_reachable(needed: Array, times: Array, rates: Array, start: Array) -> Array:
+    """:func:`_reachable` of each column of ``needed`` (k, n)."""
+    found = [_reachable(n, times, r, b) for n, r, b in zip(needed.T, rates, start, strict=True)]
+    return np.stack(found, axis=1)
 
 
 def _reachable(needed: Array, times: Array, rate: float, start: float) -> Array:
