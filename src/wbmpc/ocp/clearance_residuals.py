@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import casadi as ca
@@ -15,7 +15,7 @@ from wbmpc.model.kinematics import Chain, constant
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Frame
 from wbmpc.obstacles.geometry import common_link, robot_geometry
-from wbmpc.obstacles.pairs import self_pairs
+from wbmpc.obstacles.pairs import own_margins, self_pairs
 from wbmpc.ocp.symbols import Symbols
 
 Pair = tuple[str, str]
@@ -84,7 +84,7 @@ class Clearance:
 class SelfClearance:
     """Distance of each pair of the robot's frames, with all that is fixed to them, minus ``margin`` [m] (None: the robot file's
     ``collision.self.margin``), all to be at least zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes
-    (:func:`wbmpc.obstacles.pairs.propose_pairs`).
+    (:func:`wbmpc.obstacles.pairs.propose_pairs`). A pair that is near at home keeps less, half of its distance there: ``margins`` (n) [m].
 
     ``approach`` [s]: the arm's joints bring a pair nearer by no more than the rest of its distance h in that time, ḣ ≥ −h / approach, in
     place of h ≥ 0. Speeds then fall no faster than joints can brake, whatever the distance is: limits that count from the last command
@@ -95,6 +95,7 @@ class SelfClearance:
     pairs: Sequence[Pair] | None = None
     margin: float | None = None
     approach: float | None = None
+    margins: tuple[float, ...] = field(init=False, repr=False)
     clear_of: ClassVar[Literal["self"]] = "self"
 
     def __post_init__(self) -> None:
@@ -110,6 +111,7 @@ class SelfClearance:
         checks.not_negative("self-clearance", margin=margin, approach=approach)
         object.__setattr__(self, "pairs", pairs)
         object.__setattr__(self, "margin", float(margin))
+        object.__setattr__(self, "margins", tuple(own_margins(self.robot, pairs, float(margin)).tolist()))
         object.__setattr__(self, "approach", float(approach))
 
     @property

@@ -53,7 +53,7 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
         for _ in range(DRAWS):
             share = settings.posture * rng.uniform(-1.0, 1.0, home.size)
             row[arm] = home + np.where(share > 0.0, share * (high - home), share * (home - low))
-            if pairs is None or pairs.measure(row[None]).min() >= pairs.margin:
+            if pairs is None or (pairs.measure(row[None]) >= pairs.margins).all():
                 break
         else:
             raise InputError(
