@@ -12,6 +12,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.speeds import SpeedMPC
+from wbmpc.obstacles.floor import floor_boxes
 from wbmpc.obstacles.pairs import arm_pairs, self_pairs
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import (
@@ -37,6 +38,7 @@ from wbmpc.settings import (
     Weight,
     WheelLoadSettings,
 )
+from wbmpc.stability import StanceOf
 
 Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.
@@ -50,6 +52,9 @@ RANGE_SLACK = 3e4
 ACCELERATION_SLACK = 1e6
 #: Of the accelerations, what plans use: wheels of a base are limited together, and feedback needs some.
 ACCELERATION_SHARE = 0.6
+#: Of the center of mass's distance to the border of the support polygon at home, what plans on speeds keep of the center of mass at rest,
+#: and of the zero-moment point: masses, lag of drives, and what accelerations do in other postures are not exact.
+CENTER_SHARE, ZMP_SHARE = 0.5, 0.2
 #: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
 LOAD_SLACK, MARGIN_SLACK = 1e4, 1e5
 #: Where the payload and the coefficient of friction are in the reference of these rows.
@@ -122,7 +127,32 @@ def default_problem(
                 slack=ACCELERATION_SLACK,
             )
         )
-    return keep_upright(keep_apart(ocp, robot), robot, stability)
+    ocp = keep_off_floor(keep_apart(ocp, robot), robot)
+    return keep_standing(ocp, robot) if stability is None else keep_upright(ocp, robot, stability)
+
+
+def keep_standing(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlProblem:
+    """The problem on speeds with hard rows "upright" (:class:`wbmpc.residuals.Upright`) that keep center of mass and zero-moment point
+    away from the border of the support polygon, by :data:`CENTER_SHARE` and :data:`ZMP_SHARE` of the distance at home: of a base that
+    stands on 3 feet or more. As it is for a robot whose masses say that it does not stand at home."""
+    footprint = robot.base.footprint
+    if footprint is not None and footprint.size >= 3:
+        at_home = StanceOf(robot)(robot.home).polygon_margin
+        if at_home > 0.0:
+            rows = residuals.Upright(robot)
+            n = rows.size // 2
+            inside = sets.Box(at_home * np.repeat([CENTER_SHARE, ZMP_SHARE], n), np.inf)
+            ocp.add(Constraint("upright", rows, inside, hard=True, slack=MARGIN_SLACK))
+    return ocp
+
+
+def keep_off_floor(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlProblem:
+    """The problem with hard rows "floor" that keep the arm off the floor, unless the robot file says that there is none
+    (``collision.floor``); as it is for a robot without shapes, or one that does not reach the floor."""
+    if floor_boxes(robot):
+        rows = residuals.FloorClearance(robot)
+        ocp.add(Constraint("floor", rows, sets.NonNegative(), hard=True, slack=CLEARANCE_SLACK))
+    return ocp
 
 
 def keep_apart(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlProblem:

@@ -14,11 +14,13 @@ import pytest
 
 from clearing import TrueDistance, write_arm
 from wbmpc.cli import main
+from wbmpc.clearance.rows import SelfRows
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.obstacles.geometry import RobotGeometry, _cover, robot_geometry
 from wbmpc.obstacles.pairs import diagnose, distances, draw_states, list_pairs, propose_pairs, self_pairs
 from wbmpc.obstacles.solids import Solid
+from wbmpc.ocp.clearance_residuals import SELF_WIDTH, SelfClearance
 
 
 @contextmanager
@@ -317,3 +319,21 @@ def test_robots_of_hundreds_of_shapes_are_sampled_in_fewer_states(
     monkeypatch.setattr("wbmpc.obstacles.pairs.MAX_SHAPES", 400)
     with pytest.raises(InputError, match="the robot has 480 shapes; at most 400 are compared"):
         list_pairs(load_robot(out))
+
+
+@pytest.mark.parametrize("name", ["panda", "panda-omni", "pr2", "vega"])
+def test_a_pair_that_is_near_at_home_keeps_half_of_its_distance_there(name: str) -> None:
+    """They collide in the simulation like any other pair. Truth: MuJoCo's distances."""
+    robot, margin = load_robot(name), 0.02
+    pairs = list(self_pairs(robot))
+    at_home = distances(robot_geometry(robot), pairs, robot.home[None], 0.5)[0]
+    term = SelfClearance(robot)
+    np.testing.assert_allclose(term.margins, np.minimum(margin, 0.5 * at_home), atol=1e-9)
+    assert 0.0 < min(term.margins) < margin
+    rows = SelfRows(term)
+    kept = rows.refresh(robot.home[None]).reshape(-1, SELF_WIDTH)[:, 9]
+    near = at_home < margin
+    np.testing.assert_allclose(kept[near], 0.5 * at_home[near], atol=1e-6)
+    worst = rows.clearance(np.zeros(1), robot.home[None])
+    assert worst.margin == pytest.approx(term.margins[int(np.argmin(at_home - term.margins))])
+    assert {frozenset(p) for p in list_pairs(robot).pairs} <= {frozenset(p) for p in pairs}

@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 
 class OwnPairs:
     """Of ``pairs`` of a geometry's frames what is nearer than ``reach`` [m]: ``distance`` (n, rows) [m], infinite elsewhere, and
-    ``parameters`` (n, rows · :data:`SELF_WIDTH`) of rows that keep ``margin`` [m]. Both belong to the last :meth:`measure`."""
+    ``parameters`` (n, rows · :data:`SELF_WIDTH`) of rows that keep ``margins`` (rows) [m]. Both belong to the last :meth:`measure`."""
 
-    def __init__(self, geometry: RobotGeometry, pairs: Sequence[tuple[int, int]], reach: float, margin: float) -> None:
-        self._made_of = geometry, pairs, reach, margin
-        robot, self.rows, self._reach, self._margin = geometry.robot, len(pairs), reach, margin
+    def __init__(self, geometry: RobotGeometry, pairs: Sequence[tuple[int, int]], reach: float, margins: Array) -> None:
+        self._made_of = geometry, pairs, reach, margins
+        robot, self.rows, self._reach, self._margins = geometry.robot, len(pairs), reach, margins
         self._table, self._nx = SolidTable(geometry), robot.state.size
         frames = [robot.tree.frames[f] for f in geometry.frames]
         #: links in whose axes pairs are compared: no joint above them moves one against the other
@@ -62,13 +62,13 @@ class OwnPairs:
             **self._table.arrays, **self._index, "states": self._states, "poses": zeros(frames, 12),
             "table": np.zeros(2, np.int64), "position": zeros(own, 3), "rotation": zeros(own, 9), "place": self._place,
             "axes": self._axes, "distance": self.distance, "normal": self._normal, "own": self._own, "other": self._other,
-            "touching": self._touching, "parameters": self.parameters,
+            "touching": self._touching, "parameters": self.parameters, "margins": self._margins,
         }  # fmt: skip
         counts: dict[str, Any] = {"n": n, "all_frames": frames, "rows": rows, "reach": self._reach}
         self._measure: Step = bind(
             own_step.measure, arrays, address=self._poses.address, nx=self._nx, frames=own, shapes=shapes, pairs=pairs, **counts
         )  # fmt: skip
-        self._fill: Step = bind(own_step.fill, arrays, margin=self._margin, **counts)
+        self._fill: Step = bind(own_step.fill, arrays, **counts)
 
     def measure(self, states: Array) -> None:
         """At states (n, nx or more: what a problem adds comes after the robot's own)."""

@@ -83,11 +83,11 @@ def measure(
 
 @step
 def fill(
-    n: int, all_frames: int, rows: int, reach: float, margin: float, poses: Floats, of_a: Integers, of_b: Integers, above: Integers,
+    n: int, all_frames: int, rows: int, reach: float, margins: Floats, poses: Floats, of_a: Integers, of_b: Integers, above: Integers,
     gaps: Gaps, parameters: Floats,
 ) -> None:  # fmt: skip
     """``parameters`` (n, rows, 10): normal in the axes of the frame ``above`` both, the nearest points in those of the pair's frames, the
-    margin; zeros beyond ``reach``, where ``distance`` becomes infinite."""
+    pair's margin; zeros beyond ``reach``, where ``distance`` becomes infinite."""
     distance, normal, own, other = gaps.distance, gaps.normal, gaps.own, gaps.other
     for k in range(n):
         for r in range(rows):
@@ -104,6 +104,6 @@ def fill(
                 parameters[to + c] = n_c if there else 0.0
                 parameters[to + 3 + c] = a_c if there else 0.0
                 parameters[to + 6 + c] = b_c if there else 0.0
-            parameters[to + 9] = margin if there else 0.0
+            parameters[to + 9] = margins[r] if there else 0.0
             if not there:
                 distance[i] = np.inf

@@ -162,9 +162,10 @@ class SelfRows:
 
     def __init__(self, term: SelfTerm) -> None:
         self.geometry = geometry = robot_geometry(term.robot)
-        self.margin = float(term.margin or 0.0)
+        #: of each pair [m]
+        self.margins = np.array(term.margins)
         self.pairs = [(geometry.frames.index(a), geometry.frames.index(b)) for a, b in term.pairs or ()]
-        self._own = OwnPairs(geometry, self.pairs, SELF_REACH + self.margin, self.margin)
+        self._own = OwnPairs(geometry, self.pairs, SELF_REACH + float(self.margins.max()), self.margins)
         self._states = geometry.robot.home[None].copy()
         self._own.measure(self._states)
 
@@ -190,16 +191,16 @@ class SelfRows:
         """The least distance of a plan, states (n, nx) at ``times`` (n) [s]."""
         return self._minimum(times, self.measure(states))
 
-    def deepest(self, times: Array, states: Array, count: int, limit: float, deeper: float) -> Clearance | None:
-        """Where the first ``count`` of states (n, nx) bring a pair nearer than ``limit`` [m], and by ``deeper`` [m] nearer than the first one;
-        None: nowhere."""
+    def deepest(self, times: Array, states: Array, count: int, share: float, deeper: float) -> Clearance | None:
+        """Where the first ``count`` of states (n, nx) bring a pair nearer than ``share`` of its margin, and by ``deeper`` [m] nearer than the
+        first one; None: nowhere."""
         found = self.measure(states)[:count]
-        found = np.where((found < limit) & (found < found[:1] - deeper), found, np.inf)
+        found = np.where((found < share * self.margins) & (found < found[:1] - deeper), found, np.inf)
         return self._minimum(times, found) if np.isfinite(found).any() else None
 
     def _minimum(self, times: Array, distance: Array) -> Clearance:
         if not np.isfinite(distance).any():
             return Clearance()
-        k, row = np.unravel_index(int(np.argmin(distance)), distance.shape)
+        k, row = np.unravel_index(int(np.argmin(distance - self.margins)), distance.shape)
         a, b = (self.geometry.frames[f] for f in self.pairs[row])
-        return Clearance(float(distance[k, row]), self.margin, a, b, int(k), float(times[k]))
+        return Clearance(float(distance[k, row]), float(self.margins[row]), a, b, int(k), float(times[k]))

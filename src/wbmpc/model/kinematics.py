@@ -172,6 +172,20 @@ class Chain:
         position, rotation = self.link_place(frame.link)
         return position + rotation @ constant(frame.position), rotation @ constant(frame.rotation)
 
+    def center_of_mass(self) -> SX:
+        """Of all links (3) [m], in the axes of the root's outer frame: where that is plays no part."""
+        mass = [link.mass for link in self.links]
+        moment = [link.mass * constant(link.com) for link in self.links]
+        total, about = 0.0, SX(3, 1)
+        for i in reversed(range(len(self.links))):
+            place, up = self.places[i], self.links[i].parent
+            carried = place.rotation @ moment[i] + mass[i] * place.offset
+            if up >= 0:
+                mass[up], moment[up] = mass[up] + mass[i], moment[up] + carried
+            else:
+                total, about = total + mass[i], about + carried
+        return about / total
+
     def frame_velocity(self, frame: Frame, rates: dict[int, SX], linear: SX, angular: SX) -> tuple[SX, SX]:
         """(linear, angular) velocity in world axes; the root's outer frame moves with a twist in its own axes."""
         v, w, rates = linear, angular, self._with_followers(rates)

@@ -101,7 +101,7 @@ class ClearanceRows:
         """Where a plan comes much too near to something before ``until`` [s], and nearer than it is at its first node; None: nowhere."""
         count = max(int(np.searchsorted(times, until, side="right")), 2)
         share = 1.0 - TOLERATED
-        found = [r.deepest(times, states, count, share * r.margin, DEEPER) for r in self._within.values()]
+        found = [r.deepest(times, states, count, share, DEEPER) for r in self._within.values()]
         times, states = times[:count], states[:count]
         found += [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from weakref import WeakKeyDictionary
@@ -31,6 +31,8 @@ FILE_SAMPLES, OFTEN, MAX_PAIRS = 2000, 0.5, 20
 MAX_BOUNDS, AT_ONCE, MAX_EXACT, MAX_SHAPES = 10_000_000, 1_000_000, 300_000, 1000
 #: Shapes that are nearer [m] overlap.
 TOUCHING = 1e-6
+#: A pair that is near at home keeps this share of its distance there, if that is less than its margin.
+HOME_SHARE = 0.5
 #: Slides are those of one telescope if the cosine of their axes is more.
 PARALLEL = 0.999
 
@@ -77,8 +79,8 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
 
 @dataclass(frozen=True)
 class Listing:
-    """Pairs for a robot file by what sampling found nearer than the margin: ``pairs`` that can come so near, the most frequent first;
-    ``rare``: the least frequent ones, beyond :data:`MAX_PAIRS`; ``close``: near at home or often, so that nothing can keep them apart;
+    """Pairs for a robot file by what sampling found nearer than their margins: ``pairs`` that can come so near, the most frequent first;
+    ``rare``: the least frequent ones, beyond :data:`MAX_PAIRS`; ``close``: touching at home, where nothing can keep them apart;
     ``drawn``: those that overlap in most states, so that it is their shapes which do, and not the parts; ``samples``: states that were
     drawn."""
 
@@ -93,14 +95,21 @@ def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
     """What a robot file should say of ``collision.self.pairs``. Raises :class:`~wbmpc.errors.InputError` for a robot without shapes."""
     geometry, margin = robot_geometry(robot), robot.description.collision.self.margin
     pairs = [p for p in combinations(_bodies(geometry), 2) if not _adjacent(robot, *p)]
-    apart = distances(geometry, pairs, draw_states(robot, samples), max(margin, TOUCHING))
-    near, drawn = apart < margin, (apart < TOUCHING).mean(axis=0) >= OFTEN
-    share = near.mean(axis=0)
-    close = near[0] | (share >= OFTEN) | drawn
+    apart = distances(geometry, pairs, draw_states(robot, samples), max(margin / HOME_SHARE, TOUCHING))
+    close, drawn = apart[0] < TOUCHING, (apart < TOUCHING).mean(axis=0) >= OFTEN
+    share = (apart < np.minimum(margin, HOME_SHARE * apart[0])).mean(axis=0)
+    close |= drawn
     order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
     named = [pairs[i] for i in order]
     listed = lambda mask: tuple(pairs[i] for i in np.flatnonzero(mask))
     return Listing(tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn), len(near))
+
+
+def own_margins(robot: RobotModel, pairs: Sequence[Pair], margin: float) -> Array:
+    """What each pair keeps (pairs) [m]: ``margin``, or of one that is near at home :data:`HOME_SHARE` of its distance there: the
+    simulation lets it collide like any other. One that touches at home has the whole margin."""
+    at_home = distances(robot_geometry(robot), list(pairs), robot.home[None], max(margin / HOME_SHARE, TOUCHING))[0]
+    return np.where(at_home < TOUCHING, margin, np.minimum(margin, HOME_SHARE * at_home))
 
 
 def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:

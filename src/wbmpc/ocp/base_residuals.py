@@ -8,14 +8,23 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
+from wbmpc.checks import not_negative
 from wbmpc.errors import InputError
+from wbmpc.model.kinematics import constant
 from wbmpc.model.robot import RobotModel
+from wbmpc.ocp.clearance_residuals import stopping_time
 from wbmpc.ocp.symbols import Symbols
-from wbmpc.stability import GRAVITY, Support, counter_clockwise, standing
+from wbmpc.stability import GRAVITY, StanceOf, Support, counter_clockwise, standing
+from wbmpc.stability.robot import edge_distances
 
 #: Forces along the ground below this share of the mean load count as this: their size has no slope at zero.
 ROUNDED = 0.01
+#: Accelerations at which slopes by them are measured.
+SMALL = 1e-3
+#: By how much more than a pendulum falls a center of mass takes to come to rest at an edge: it needs 1 / 4 of its distance then.
+GENTLE = 2.0
 
 
 @dataclass(frozen=True)
@@ -131,6 +140,68 @@ class SupportMargin:
         support = Support(self.robot, s.x)
         zmp = support.zmp(_ground_load(support, s, self))
         return ca.vertcat(*[support.distances(feet, zmp) for feet in self.polygons])
+
+
+@dataclass(frozen=True)
+class Upright:
+    """What keeps a robot from tipping over in plans whose inputs are speeds: distances [m] to the edges of its support polygon, positive
+    inside, of its center of mass ("center") and of a zero-moment point ("zmp").
+
+    Where the arm moves the center of mass towards an edge, what counts is where it gets to in ``approach`` [s]: it comes to rest before the
+    edge so gently that this does not push the robot over. None: :data:`GENTLE` times √(h / g), the time constant of a pendulum as high as
+    the center of mass, or the time in which the arm stops where that is longer. The zero-moment point is that of accelerations, which move
+    it as they do at home: of those from the last command to a node's input, which in a receding horizon is the acceleration itself where
+    it acts next, and a mean one later.
+
+    Reference: the last command (n) and the time [s] since it was given; without a time (0) speeds are constant. Of a base that stands
+    level. ``feet``: indices of the polygon's corners; ``groups``: one row for each of n edges, "center" and then "zmp";
+    ``pushes`` (n, nu) [m s², m s²/rad]: how far a unit of each input's acceleration moves the point away from each edge at home.
+    """
+
+    robot: RobotModel
+    approach: float | None = None
+    groups: Mapping[str, slice] = field(init=False, repr=False)
+    feet: tuple[int, ...] = field(init=False, repr=False)
+    pushes: NDArray[np.float64] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        stance, home, feet = StanceOf(self.robot), self.robot.home, counter_clockwise(self.robot)
+        still = stance(home)
+        falls = float(np.sqrt(max(float(still.com[2]), 0.0) / -GRAVITY[2]))
+        approach = max(GENTLE * falls, stopping_time(self.robot)) if self.approach is None else self.approach
+        not_negative("upright", approach=approach)
+        object.__setattr__(self, "approach", float(approach))
+        shifts = [stance(home, u_rate=SMALL * row).zmp - still.zmp for row in np.eye(self.robot.input.size)]
+        edges = np.roll(still.feet[list(feet)], -1, axis=0) - still.feet[list(feet)]
+        inward = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1, keepdims=True)
+        object.__setattr__(self, "feet", feet)
+        n = len(feet)
+        object.__setattr__(self, "groups", {"center": slice(0, n), "zmp": slice(n, 2 * n)})
+        object.__setattr__(self, "pushes", inward @ np.array(shifts).T / SMALL)
+
+    @property
+    def last_inputs(self) -> list[int]:
+        """All: see :class:`wbmpc.ocp.symbols.FollowsLastInput`."""
+        return list(range(self.robot.input.size))
+
+    @property
+    def size(self) -> int:
+        """How many rows."""
+        return 2 * len(self.feet)
+
+    @property
+    def reference(self) -> int:
+        """How many numbers it is compared with."""
+        return self.robot.input.size + 1
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        base, n = self.robot.base, self.robot.input.size
+        corners = ca.horzcat(*standing(self.robot).expressions(s.x)).T
+        inside = edge_distances(corners, self.feet, base.chain(s.x).center_of_mass()[:2])
+        ahead = ca.jtimes(inside, s.x, self.robot.dynamics()(s.x, s.u, s.parameters, s.mode))
+        since = s.reference[n]
+        change = (since > 0.0) * (s.u - s.reference[:n]) / (since + (since <= 0.0))
+        return ca.vertcat(inside + float(self.approach or 0.0) * ahead, inside + constant(self.pushes) @ change)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import casadi as ca
@@ -14,8 +14,9 @@ from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.kinematics import Chain, constant
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Frame
+from wbmpc.obstacles.floor import FloorBox, floor_boxes
 from wbmpc.obstacles.geometry import common_link, robot_geometry
-from wbmpc.obstacles.pairs import self_pairs
+from wbmpc.obstacles.pairs import own_margins, self_pairs
 from wbmpc.ocp.symbols import Symbols
 
 Pair = tuple[str, str]
@@ -84,7 +85,7 @@ class Clearance:
 class SelfClearance:
     """Distance of each pair of the robot's frames, with all that is fixed to them, minus ``margin`` [m] (None: the robot file's
     ``collision.self.margin``), all to be at least zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes
-    (:func:`wbmpc.obstacles.pairs.propose_pairs`).
+    (:func:`wbmpc.obstacles.pairs.propose_pairs`). A pair that is near at home keeps less, half of its distance there: ``margins`` (n) [m].
 
     ``approach`` [s]: the arm's joints bring a pair nearer by no more than the rest of its distance h in that time, ḣ ≥ −h / approach, in
     place of h ≥ 0. Speeds then fall no faster than joints can brake, whatever the distance is: limits that count from the last command
@@ -95,6 +96,7 @@ class SelfClearance:
     pairs: Sequence[Pair] | None = None
     margin: float | None = None
     approach: float | None = None
+    margins: tuple[float, ...] = field(init=False, repr=False)
     clear_of: ClassVar[Literal["self"]] = "self"
 
     def __post_init__(self) -> None:
@@ -110,6 +112,7 @@ class SelfClearance:
         checks.not_negative("self-clearance", margin=margin, approach=approach)
         object.__setattr__(self, "pairs", pairs)
         object.__setattr__(self, "margin", float(margin))
+        object.__setattr__(self, "margins", tuple(own_margins(self.robot, pairs, float(margin)).tolist()))
         object.__setattr__(self, "approach", float(approach))
 
     @property
@@ -140,6 +143,45 @@ class SelfClearance:
         arm = self.robot.state["arm"]
         change = self.robot.dynamics()(s.x, s.u, s.parameters, s.mode)[arm]
         return distances + self.approach * ca.jacobian(distances, s.x)[:, arm] @ change
+
+
+@dataclass(frozen=True)
+class FloorClearance:
+    """Height [m] above the floor of boxes around the parts of the arm that can come near it
+    (:func:`wbmpc.obstacles.floor.floor_boxes`), minus their margins, all to be at least zero. ``approach`` [s]: see
+    :class:`SelfClearance`. Raises :class:`InputError` where nothing can."""
+
+    robot: RobotModel
+    approach: float | None = None
+    boxes: tuple[FloorBox, ...] = field(init=False, repr=False, compare=False)
+    reference: ClassVar[int] = 0
+
+    def __post_init__(self) -> None:
+        boxes = floor_boxes(self.robot)
+        if not boxes:
+            raise InputError(f"floor clearance: no part of '{self.robot.description.name}' comes near the floor")
+        approach = stopping_time(self.robot) if self.approach is None else self.approach
+        checks.not_negative("floor clearance", approach=approach)
+        object.__setattr__(self, "boxes", boxes)
+        object.__setattr__(self, "approach", float(approach))
+
+    @property
+    def size(self) -> int:
+        """How many rows."""
+        return len(self.boxes)
+
+    @property
+    def groups(self) -> Mapping[str, slice]:
+        """One row for each part."""
+        return {box.name: slice(i, i + 1) for i, box in enumerate(self.boxes)}
+
+    def __call__(self, s: Symbols) -> ca.SX:
+        chain, ground = self.robot.base.chain(s.x), self.robot.base.ground
+        rows = [b.height(*chain.frame_place(b.frame)) - (ground + b.margin) for b in self.boxes]
+        heights = ca.vertcat(*rows)
+        if not self.approach:
+            return heights
+        return heights + self.approach * ca.jtimes(heights, s.x, self.robot.dynamics()(s.x, s.u, s.parameters, s.mode))
 
 
 def stopping_time(robot: RobotModel) -> float:

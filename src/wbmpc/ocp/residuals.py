@@ -16,8 +16,8 @@ import numpy as np
 from wbmpc.errors import unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
-from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin, TireFriction, WheelLoads
-from wbmpc.ocp.clearance_residuals import Clearance, SelfClearance
+from wbmpc.ocp.base_residuals import LockedJoints, Rolling, SupportMargin, TireFriction, Upright, WheelLoads
+from wbmpc.ocp.clearance_residuals import Clearance, FloorClearance, SelfClearance
 from wbmpc.ocp.contact_residuals import FrictionCone, PushForce, push_on_surface
 from wbmpc.ocp.frame_residuals import FramePose, FrameTwist, FrameWrench, RelativeMotion, RelativePose
 from wbmpc.ocp.path_residuals import Contour, PathAcceleration, Progress
@@ -28,6 +28,7 @@ __all__ = [
     "Clearance",
     "Contour",
     "Expression",
+    "FloorClearance",
     "FramePose",
     "FrameTwist",
     "FrameWrench",
@@ -48,6 +49,7 @@ __all__ = [
     "SupportMargin",
     "Symbols",
     "TireFriction",
+    "Upright",
     "WheelLoads",
     "push_on_surface",
 ]

@@ -68,11 +68,12 @@ class SelfCollisionDescription(Section):
 
 
 class CollisionDescription(Section):
-    """``shapes``: of the model's file (``auto``), or by hand; ``margin`` [m]: distance to obstacles that is kept; ``self``: see
-    :class:`SelfCollisionDescription`."""
+    """``shapes``: of the model's file (``auto``), or by hand; ``margin`` [m]: distance to obstacles that is kept; ``floor``: whether there is
+    a floor at the robot's feet that its arm keeps clear of; ``self``: see :class:`SelfCollisionDescription`."""
 
     shapes: Annotated[tuple[ShapeDescription, ...] | None, _Auto] = None
     margin: _Margin = 0.03
+    floor: bool = True
     self: SelfCollisionDescription = SelfCollisionDescription()
 
 

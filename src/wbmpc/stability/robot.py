@@ -150,13 +150,18 @@ class Support:
 
     def distances(self, feet: Feet, point: ca.SX) -> ca.SX:
         """Distances [m] of a point (2) to the edges of a polygon of feet, in their order (counter-clockwise: inside > 0)."""
-        rows = []
-        for k, i in enumerate(feet):
-            j = feet[(k + 1) % len(feet)]
-            a, b = self.feet[i, :].T, self.feet[j, :].T
-            d, to = b - a, point - a
-            rows.append((d[0] * to[1] - d[1] * to[0]) / ca.norm_2(d))
-        return ca.vertcat(*rows)
+        return edge_distances(self.feet, feet, point)
+
+
+def edge_distances(corners: ca.SX, feet: Feet, point: ca.SX) -> ca.SX:
+    """Distances [m] of a point (2) to the edges of a polygon whose corners are some ``feet`` of ``corners`` (n, 2) [m], in their order."""
+    rows = []
+    for k, i in enumerate(feet):
+        j = feet[(k + 1) % len(feet)]
+        a, b = corners[i, :].T, corners[j, :].T
+        d, to = b - a, point - a
+        rows.append((d[0] * to[1] - d[1] * to[0]) / ca.norm_2(d))
+    return ca.vertcat(*rows)
 
 
 def counter_clockwise(robot: RobotModel, feet: Feet | None = None) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.floor import floor_boxes, heights
 from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.ocp import Reference
 from wbmpc.ocp.clearance_residuals import SelfClearance
@@ -41,9 +42,12 @@ class GoalsSettings(TaskSettings):
 
 
 def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Array:
-    """States (count, nx): the base further by a random way, the arm about its home, where it is clear of the robot."""
+    """States (count, nx): the base further by a random way, the arm about its home, where it is clear of the robot and
+    of the floor."""
     rng, arm = np.random.default_rng([seed, 20]), robot.state["arm"]
     pairs = SelfRows(SelfClearance(robot)) if self_pairs(robot) else None
+    boxes = list(floor_boxes(robot))
+    kept = np.array([box.margin for box in boxes])
     low, high = robot.limits.state_lower[arm], robot.limits.state_upper[arm]
     home = robot.home[arm]
     low, high = np.where(np.isfinite(low), low, home - np.pi), np.where(np.isfinite(high), high, home + np.pi)
@@ -53,11 +57,12 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
         for _ in range(DRAWS):
             share = settings.posture * rng.uniform(-1.0, 1.0, home.size)
             row[arm] = home + np.where(share > 0.0, share * (high - home), share * (home - low))
-            if pairs is None or pairs.measure(row[None]).min() >= pairs.margin:
+            apart = pairs is None or (pairs.measure(row[None]) >= pairs.margins).all()
+            if apart and (not boxes or (heights(robot, boxes, row[None])[0] >= kept).all()):
                 break
         else:
             raise InputError(
-                f"goals: none of {DRAWS} postures keeps the arm clear of the robot; valid: a smaller posture"
+                f"goals: none of {DRAWS} postures keeps the arm clear of the robot and the floor; valid: a smaller posture"
             )
         if "base" in robot.state:
             heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(min(settings.distance), max(settings.distance))
