@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance.ends import other_ends
 from wbmpc.clearance.nearest import Finder, Nearest, Poses
 from wbmpc.clearance.own_pairs import OwnPairs
 from wbmpc.clearance.sweep import between, keep_sides
@@ -61,32 +62,38 @@ class ObstacleRows:
 
     def __init__(self, term: ObstacleTerm) -> None:
         self.geometry = geometry = robot_geometry(term.robot)
-        self.slots, self.margin = int(term.slots), float(term.margin or 0.0)
+        self.counts, self.margin = np.array(term.counts), float(term.margin or 0.0)
         self.finder = Finder(geometry, REACH + self.margin)
         self.index = [geometry.frames.index(f) for f in term.frames or ()]
         self._asked = np.zeros(len(geometry.frames), bool)
         self._asked[self.index] = True
+        self._long = np.zeros(len(geometry.frames), bool)
+        self._long[self.index] = self.counts > int(term.slots)
         self._near: Nearest | None = None
 
     @property
     def size(self) -> int:
         """Rows at a node."""
-        return len(self.index) * self.slots
+        return int(self.counts.sum())
 
     def refresh(self, snapshot: Snapshot, times: Array, states: Array) -> Array:
         """Parameters (n, size · :data:`WIDTH`) at ``times`` (n) [s] for predicted ``states`` (n, nx)."""
         poses = Poses(times, *self.finder.kinematics(states))
         near, margin = self.measure(snapshot, poses)
+        second = near
         if snapshot.obstacles:
+            second = other_ends(self.finder, snapshot, poses, near, margin, self._long)
+            before = near.normal.copy()
             inner = between(self.finder, snapshot, poses, near, states, float(margin.max()))
             ends = np.minimum(near.distance[:-1], near.distance[1:])
             # a motion through an obstacle is the side's matter
             lack = np.where(np.isfinite(inner) & (inner >= 0.0), np.minimum(ends, self.finder.reach) - inner, 0.0)
             keep_sides(self.finder, snapshot, poses, near, inner, margin)
+            second.distance[(near.normal != before).any(axis=3)] = np.inf
             none = np.zeros((1, *lack.shape[1:]))
             margin += np.maximum(np.concatenate([lack, none]), np.concatenate([none, lack]))
         self._near = near
-        return self._fill(near, margin)
+        return self._fill(near, second, margin)
 
     def base_margin(self, snapshot: Snapshot, poses: Poses) -> Array:
         """Margins (n, F, O) [m]: what is asked for and the obstacles' spread."""
@@ -101,20 +108,26 @@ class ObstacleRows:
         limit = np.broadcast_to(np.where(self._asked, self.finder.reach, -np.inf)[None, :, None], shape)
         return self.finder.find(snapshot, poses, limit), self.base_margin(snapshot, poses)
 
-    def _fill(self, near: Nearest, margin: Array) -> Array:
-        n, obstacles = len(near.distance), near.distance.shape[2]
-        out = np.zeros((n, len(self.index), self.slots, WIDTH))
-        count = min(self.slots, obstacles)
-        if count:
-            excess = (near.distance - margin)[:, self.index]
-            chosen = np.sort(np.argsort(excess, axis=2, kind="stable")[..., :count], axis=2)
-            take = lambda a: np.take_along_axis(a[:, self.index], chosen, axis=2)
-            wide = lambda a: np.take_along_axis(a[:, self.index], chosen[..., None], axis=2)
-            there = np.isfinite(take(near.distance))
-            part = out[:, :, :count]
-            part[..., :3] = np.where(there[..., None], wide(near.normal), 0.0)
-            part[..., 3:6] = np.where(there[..., None], wide(near.point), 0.0)
-            part[..., 6] = np.where(there, take(near.level) + take(margin), 0.0)
+    def _fill(self, near: Nearest, second: Nearest, margin: Array) -> Array:
+        n, start = len(near.distance), 0
+        out = np.zeros((n, self.size, WIDTH))
+        for f, rows in zip(self.index, self.counts, strict=True):
+            from_ = (near, second) if self._long[f] else (near,)
+            distance = np.concatenate([e.distance[:, f] for e in from_], axis=1)
+            asked = np.concatenate([margin[:, f]] * len(from_), axis=1)
+            count = min(int(rows), distance.shape[1])
+            chosen = np.sort(np.argsort(distance - asked, axis=1, kind="stable")[:, :count], axis=1)
+            take = lambda a, chosen=chosen: np.take_along_axis(a, chosen, axis=1)
+            wide = lambda name, chosen=chosen, f=f, from_=from_: np.take_along_axis(
+                np.concatenate([getattr(e, name)[:, f] for e in from_], axis=1), chosen[..., None], axis=1
+            )
+            level = np.concatenate([e.level[:, f] for e in from_], axis=1)
+            there = np.isfinite(take(distance))
+            part = out[:, start : start + count]
+            part[..., :3] = np.where(there[..., None], wide("normal"), 0.0)
+            part[..., 3:6] = np.where(there[..., None], wide("point"), 0.0)
+            part[..., 6] = np.where(there, take(level) + take(asked), 0.0)
+            start += int(rows)
         return out.reshape(n, -1)
 
     def clearance(self, snapshot: Snapshot, times: Array, states: Array) -> Clearance:
