@@ -94,6 +94,7 @@ def test_a_run_that_begins_anew_is_shown_anew() -> None:
     message = {
         "plan": np.tile(robot.home, (PLAN, 1)), "reference": np.zeros((REFERENCE, 3)), "goal": np.array([0.0] * 3 + [1.0] + [0.0] * 3),
         "base_goal": np.zeros(3), "brakes": np.array(0.0), "solve": np.array(0.001), "deadline": np.array(0.02),
+        "clearance": np.array(np.nan),
     }  # fmt: skip
 
     def shown(t: float, x: np.ndarray) -> tuple[float, np.ndarray]:
