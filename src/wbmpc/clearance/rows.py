@@ -23,6 +23,7 @@ from wbmpc.ocp.clearance_residuals import Clearance as ObstacleTerm
 from wbmpc.ocp.clearance_residuals import SelfClearance as SelfTerm
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 #: Obstacles farther than this [m] beyond the margin have no rows.
 REACH = 0.5
 #: Parts of the robot farther from each other than this [m] have none.
@@ -109,26 +110,15 @@ class ObstacleRows:
         return self.finder.find(snapshot, poses, limit), self.base_margin(snapshot, poses)
 
     def _fill(self, near: Nearest, second: Nearest, margin: Array) -> Array:
-        n, start = len(near.distance), 0
-        out = np.zeros((n, self.size, WIDTH))
-        for f, rows in zip(self.index, self.counts, strict=True):
-            from_ = (near, second) if self._long[f] else (near,)
-            distance = np.concatenate([e.distance[:, f] for e in from_], axis=1)
-            asked = np.concatenate([margin[:, f]] * len(from_), axis=1)
-            count = min(int(rows), distance.shape[1])
-            chosen = np.sort(np.argsort(distance - asked, axis=1, kind="stable")[:, :count], axis=1)
-            take = lambda a, chosen=chosen: np.take_along_axis(a, chosen, axis=1)
-            wide = lambda name, chosen=chosen, f=f, from_=from_: np.take_along_axis(
-                np.concatenate([getattr(e, name)[:, f] for e in from_], axis=1), chosen[..., None], axis=1
-            )
-            level = np.concatenate([e.level[:, f] for e in from_], axis=1)
-            there = np.isfinite(take(distance))
-            part = out[:, start : start + count]
-            part[..., :3] = np.where(there[..., None], wide("normal"), 0.0)
-            part[..., 3:6] = np.where(there[..., None], wide("point"), 0.0)
-            part[..., 6] = np.where(there, take(level) + take(asked), 0.0)
-            start += int(rows)
-        return out.reshape(n, -1)
+        out, first = np.zeros((len(near.distance), self.size, WIDTH)), np.cumsum(self.counts) - self.counts
+        for sources in ((near,), (near, second)):
+            mine = self._long[self.index] == (len(sources) == 2)
+            if mine.any():
+                frames, rows = np.array(self.index)[mine], int(self.counts[mine][0])
+                part = _chosen(sources, margin, frames, rows)
+                at = first[mine][:, None] + np.arange(part.shape[2])
+                out[:, at.ravel()] = part.reshape(len(out), -1, WIDTH)
+        return out.reshape(len(out), -1)
 
     def clearance(self, snapshot: Snapshot, times: Array, states: Array) -> Clearance:
         """The least excess over its margins of the plan that a solve made of what :meth:`refresh` set."""
@@ -168,6 +158,19 @@ class ObstacleRows:
             float(distance[k, f, o]), float(margin[k, f, o]), self.geometry.frames[f], snapshot.obstacles[o].name, int(k),
             float(times[k]),
         )  # fmt: skip
+
+
+def _chosen(sources: tuple[Nearest, ...], margin: Array, frames: Ints, rows: int) -> Array:
+    """Parameters (n, f, at most ``rows``, :data:`WIDTH`) of ``frames`` (f): the entries of all ``sources`` with the least excess."""
+    take = lambda name: np.concatenate([getattr(s, name)[:, frames] for s in sources], axis=2)
+    distance, asked = take("distance"), np.concatenate([margin[:, frames]] * len(sources), axis=2)
+    chosen = np.sort(np.argsort(distance - asked, axis=2, kind="stable")[..., :rows], axis=2)
+    of = lambda a: np.take_along_axis(a, chosen if a.ndim == 3 else chosen[..., None], axis=2)
+    there, out = np.isfinite(of(distance)), np.zeros((*chosen.shape, WIDTH))
+    out[..., :3] = np.where(there[..., None], of(take("normal")), 0.0)
+    out[..., 3:6] = np.where(there[..., None], of(take("point")), 0.0)
+    out[..., 6] = np.where(there, of(take("level")) + of(asked), 0.0)
+    return out
 
 
 class SelfRows:
