@@ -63,13 +63,14 @@ class ObstacleRows:
 
     def __init__(self, term: ObstacleTerm) -> None:
         self.geometry = geometry = robot_geometry(term.robot)
-        self.counts, self.margin = np.array(term.counts), float(term.margin or 0.0)
+        self.slots, self.margin = int(term.slots), float(term.margin or 0.0)
+        self.counts = np.array(term.counts)
         self.finder = Finder(geometry, REACH + self.margin)
         self.index = [geometry.frames.index(f) for f in term.frames or ()]
         self._asked = np.zeros(len(geometry.frames), bool)
         self._asked[self.index] = True
         self._long = np.zeros(len(geometry.frames), bool)
-        self._long[self.index] = self.counts > int(term.slots)
+        self._long[self.index] = self.counts > self.slots
         self._near: Nearest | None = None
 
     @property
@@ -110,14 +111,16 @@ class ObstacleRows:
         return self.finder.find(snapshot, poses, limit), self.base_margin(snapshot, poses)
 
     def _fill(self, near: Nearest, second: Nearest, margin: Array) -> Array:
-        out, first = np.zeros((len(near.distance), self.size, WIDTH)), np.cumsum(self.counts) - self.counts
-        for sources in ((near,), (near, second)):
-            mine = self._long[self.index] == (len(sources) == 2)
-            if mine.any():
-                frames, rows = np.array(self.index)[mine], int(self.counts[mine][0])
-                part = _chosen(sources, margin, frames, rows)
-                at = first[mine][:, None] + np.arange(part.shape[2])
-                out[:, at.ravel()] = part.reshape(len(out), -1, WIDTH)
+        out = np.zeros((len(near.distance), self.size, WIDTH))
+        count = min(self.slots, near.distance.shape[2])
+        excess = (near.distance - margin)[:, self.index]
+        chosen = np.sort(np.argsort(excess, axis=2, kind="stable")[..., :count], axis=2)
+        start, long = np.cumsum(self.counts) - self.counts, self._long[self.index]
+        slots = np.arange(count)
+        out[:, start[:, None] + slots] = _entries(near, margin, np.array(self.index), chosen)
+        if long.any():  # other ends of the same obstacles
+            at = start[long][:, None] + self.slots + slots
+            out[:, at] = _entries(second, margin, np.array(self.index)[long], chosen[:, long])
         return out.reshape(len(out), -1)
 
     def clearance(self, snapshot: Snapshot, times: Array, states: Array) -> Clearance:
@@ -160,16 +163,13 @@ class ObstacleRows:
         )  # fmt: skip
 
 
-def _chosen(sources: tuple[Nearest, ...], margin: Array, frames: Ints, rows: int) -> Array:
-    """Parameters (n, f, at most ``rows``, :data:`WIDTH`) of ``frames`` (f): the entries of all ``sources`` with the least excess."""
-    take = lambda name: np.concatenate([getattr(s, name)[:, frames] for s in sources], axis=2)
-    distance, asked = take("distance"), np.concatenate([margin[:, frames]] * len(sources), axis=2)
-    chosen = np.sort(np.argsort(distance - asked, axis=2, kind="stable")[..., :rows], axis=2)
-    of = lambda a: np.take_along_axis(a, chosen if a.ndim == 3 else chosen[..., None], axis=2)
-    there, out = np.isfinite(of(distance)), np.zeros((*chosen.shape, WIDTH))
-    out[..., :3] = np.where(there[..., None], of(take("normal")), 0.0)
-    out[..., 3:6] = np.where(there[..., None], of(take("point")), 0.0)
-    out[..., 6] = np.where(there, of(take("level")) + of(asked), 0.0)
+def _entries(near: Nearest, margin: Array, frames: Ints, chosen: Ints) -> Array:
+    """Parameters (n, f, k, :data:`WIDTH`) of ``frames`` (f) and the ``chosen`` obstacles (n, f, k) of each."""
+    take = lambda a: np.take_along_axis(a[:, frames], chosen if a.ndim == 3 else chosen[..., None], axis=2)
+    there, out = np.isfinite(take(near.distance)), np.zeros((*chosen.shape, WIDTH))
+    out[..., :3] = np.where(there[..., None], take(near.normal), 0.0)
+    out[..., 3:6] = np.where(there[..., None], take(near.point), 0.0)
+    out[..., 6] = np.where(there, take(near.level) + take(margin), 0.0)
     return out
 
 
