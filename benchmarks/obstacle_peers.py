@@ -232,12 +232,10 @@ def table(args: argparse.Namespace, found: list[Figures]) -> Table:
         "error rms [mm]",
         "error max [mm]",
         "update [ms]",
-        "95 % [ms]",
         "failed",
-        "ended early",
     )
     for head in heads:
-        made.add_column(head, justify="left" if head in heads[::6] else "right")
+        made.add_column(head, justify="right" if head else "left")
     for f in found:
         numbers = [f"{1e3 * v:.1f}" for v in (f.clearance, f.rms, f.largest)]
         name = f"{f.name}: {f.reason}" if f.reason else f.name

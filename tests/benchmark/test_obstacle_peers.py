@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -13,6 +14,14 @@ from wbmpc.tasks.obstacles import Among, static_scene
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import obstacle_peers
+
+
+def test_each_number_is_under_its_head() -> None:
+    found = obstacle_peers.Figures("hard rows", 0.03, 0.004, 0.02, 0.0071, 2, "stuck")
+    shown = obstacle_peers.table(SimpleNamespace(robot="r", seed=0), [found])  # type: ignore[arg-type]
+    cells = {str(column.header): next(iter(column.cells)) for column in shown.columns}
+    assert cells["clearance [mm]"] == "30.0" and cells["update [ms]"] == "7.10" and cells["failed"] == "2"
+    assert all(cells.values())
 
 
 def test_the_same_state_is_the_same_pose_and_the_same_limits() -> None:

@@ -98,9 +98,9 @@ def test_unknown_names_and_things_that_are_no_shapes() -> None:
         world.remove("q")
     with pytest.raises(InputError, match="unknown obstacle 'q'"):
         world.move("q", (0, 0, 0))
-    grid = wb.shapes.DistanceGrid((0, 0, 0), 0.1, np.ones((3, 3, 3)))
-    with pytest.raises(InputError, match="does not move"):
-        world.set("map", grid, velocity=(1, 0, 0))
+    for wrong in ("chassis", [1], 3):
+        with pytest.raises(InputError, match="'ignore' needs a list of names of frames"):
+            world.set("p", wb.shapes.Sphere(0.3), ignore=wrong)  # type: ignore[arg-type]
 
 
 def test_threads_set_and_remove_while_another_takes_snapshots() -> None:

@@ -69,12 +69,13 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
     message = {
         "plan": plan, "reference": np.zeros((REFERENCE, 3)), "goal": np.array([*robot.pose(robot.home)[0], 1.0, 0, 0, 0]),
         "base_goal": np.zeros(3), "brakes": np.array(0.0), "solve": np.array(0.001), "deadline": np.array(0.02),
+        "clearance": np.array(0.041),
     }  # fmt: skip
     shown = picture(message)
     np.testing.assert_allclose(shown["forces"][0], arrow - [0.5, 0, 0], atol=1e-9)
     np.testing.assert_allclose(shown["pressure"], point - [0.5, 0, 0], atol=1e-9)
     numbers = dict(zip(NUMBERS, shown["numbers"], strict=True))
-    assert numbers["late"] == 0.002 and numbers["margin"] == 0.1
+    assert numbers["late"] == 0.002 and numbers["margin"] == 0.1 and numbers["clearance"] == 0.041
     assert (numbers["ticks"], numbers["late_ticks"]) == (400.0, 3.0) and np.isnan(numbers["factor"])
     # the physics goes at 0.8 of the clock
     for k in range(20):
@@ -93,6 +94,7 @@ def test_a_run_that_begins_anew_is_shown_anew() -> None:
     message = {
         "plan": np.tile(robot.home, (PLAN, 1)), "reference": np.zeros((REFERENCE, 3)), "goal": np.array([0.0] * 3 + [1.0] + [0.0] * 3),
         "base_goal": np.zeros(3), "brakes": np.array(0.0), "solve": np.array(0.001), "deadline": np.array(0.02),
+        "clearance": np.array(np.nan),
     }  # fmt: skip
 
     def shown(t: float, x: np.ndarray) -> tuple[float, np.ndarray]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wbmpc.clearance import grid_step
 from wbmpc.clearance.kinematics import CompiledKinematics
 from wbmpc.clearance.table import SolidTable
+from wbmpc.errors import unknown_name
 from wbmpc.obstacles.geometry import RobotGeometry
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.solids import Solid
@@ -65,7 +66,9 @@ class Finder:
         self.pairs = 0
         if not obstacles or not n:
             return out
-        below = np.full(out.distance.shape, self.reach) if limit is None else limit
+        below = np.full(out.distance.shape, self.reach) if limit is None else np.array(limit, order="C")
+        for o, obstacle in enumerate(obstacles):
+            below[:, self._indices(obstacle), o] = -np.inf
         solids: list[tuple[int, Solid, Array, Array]] = []  # obstacle, solid, centers (n, 3), axes (3, 3)
         for o, obstacle in enumerate(obstacles):
             place, turn = snapshot.pose(obstacle, poses.times)
@@ -74,13 +77,21 @@ class Finder:
             elif isinstance(obstacle.shape, DistanceGrid):
                 if obstacle.side == 0:  # with all its sides, which follow
                     which = slice(o, o + sum(other.name == obstacle.name for other in obstacles))
-                    self._grid(obstacle.shape, place[0], turn, poses, below[:, :, which], out, which)
+                    self._grid(obstacle.shape, place, turn, poses, below[:, :, which], out, which)
             else:
                 solid = obstacle.shape.solid
                 solids.append((o, solid, place + turn @ solid.position, turn @ solid.rotation))
         if solids:
             self._solids(solids, poses, below, out)
         return out
+
+    def _indices(self, obstacle: Obstacle) -> list[int]:
+        """Of the frames that may touch an obstacle."""
+        for name in obstacle.ignore:
+            if name not in self.geometry.frames:
+                where = f"obstacle '{obstacle.name}', ignore"
+                raise unknown_name("frame with shapes", name, self.geometry.frames, where=where)
+        return [self.geometry.frames.index(name) for name in obstacle.ignore]
 
     # ------------------------------------------------------------------ convex solids
     def _solids(
@@ -138,11 +149,14 @@ class Finder:
         self, shape: DistanceGrid, place: Array, turn: Array, poses: Poses, below: Array, out: Nearest, which: slice
     ) -> None:
         (frame, local, radius), (n, frames, sides) = self.geometry.spheres, below.shape
+        # the grid stays where it is at first; what it meets moves
+        moved = place - place[0]
+        position = poses.position - moved[:, None]
         values, ball = np.asarray(shape.values), np.full(below.shape, -1)
         error, center = float(shape.error or 0.0), np.empty((n, len(frame), 3))
-        distance, normal = below + error, np.zeros((*below.shape, 3))
-        origin = place + turn @ np.asarray(shape.origin, float)
-        arrays = (frame, local, radius, poses.position, poses.rotation)
+        distance, normal = np.ascontiguousarray(below + error), np.zeros((*below.shape, 3))
+        origin = place[0] + turn @ np.asarray(shape.origin, float)
+        arrays = (frame, local, radius, position, poses.rotation)
         nearest: Any = grid_step.nearest
         nearest(
             n, frames, len(frame), sides, *(np.ascontiguousarray(a).reshape(-1) for a in arrays), *values.shape,
@@ -154,8 +168,8 @@ class Finder:
         found, normals = distance[k, f, s] - error, normal[k, f, s]
         points = center[k, b] - radius[b, None] * normals
         out.distance[k, f, o], out.normal[k, f, o] = found, normals
-        out.point[k, f, o] = np.einsum("mi,mij->mj", points - poses.position[k, f], poses.rotation[k, f])
-        out.level[k, f, o] = np.sum(normals * points, axis=1) - found
+        out.point[k, f, o] = np.einsum("mi,mij->mj", points - position[k, f], poses.rotation[k, f])
+        out.level[k, f, o] = np.sum(normals * (points + moved[k]), axis=1) - found
 
 
 def with_sides(snapshot: Snapshot) -> Snapshot:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.clearance.ends import other_ends
 from wbmpc.clearance.nearest import Finder, Nearest, Poses
 from wbmpc.clearance.own_pairs import OwnPairs
 from wbmpc.clearance.sweep import between, keep_sides
@@ -22,6 +23,7 @@ from wbmpc.ocp.clearance_residuals import Clearance as ObstacleTerm
 from wbmpc.ocp.clearance_residuals import SelfClearance as SelfTerm
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 #: Obstacles farther than this [m] beyond the margin have no rows.
 REACH = 0.5
 #: Parts of the robot farther from each other than this [m] have none.
@@ -62,31 +64,38 @@ class ObstacleRows:
     def __init__(self, term: ObstacleTerm) -> None:
         self.geometry = geometry = robot_geometry(term.robot)
         self.slots, self.margin = int(term.slots), float(term.margin or 0.0)
+        self.counts = np.array(term.counts)
         self.finder = Finder(geometry, REACH + self.margin)
         self.index = [geometry.frames.index(f) for f in term.frames or ()]
         self._asked = np.zeros(len(geometry.frames), bool)
         self._asked[self.index] = True
+        self._long = np.zeros(len(geometry.frames), bool)
+        self._long[self.index] = self.counts > self.slots
         self._near: Nearest | None = None
 
     @property
     def size(self) -> int:
         """Rows at a node."""
-        return len(self.index) * self.slots
+        return int(self.counts.sum())
 
     def refresh(self, snapshot: Snapshot, times: Array, states: Array) -> Array:
         """Parameters (n, size · :data:`WIDTH`) at ``times`` (n) [s] for predicted ``states`` (n, nx)."""
         poses = Poses(times, *self.finder.kinematics(states))
         near, margin = self.measure(snapshot, poses)
+        second = near
         if snapshot.obstacles:
+            second = other_ends(self.finder, snapshot, poses, near, margin, self._long)
+            before = near.normal.copy()
             inner = between(self.finder, snapshot, poses, near, states, float(margin.max()))
             ends = np.minimum(near.distance[:-1], near.distance[1:])
             # a motion through an obstacle is the side's matter
             lack = np.where(np.isfinite(inner) & (inner >= 0.0), np.minimum(ends, self.finder.reach) - inner, 0.0)
             keep_sides(self.finder, snapshot, poses, near, inner, margin)
+            second.distance[(near.normal != before).any(axis=3)] = np.inf
             none = np.zeros((1, *lack.shape[1:]))
             margin += np.maximum(np.concatenate([lack, none]), np.concatenate([none, lack]))
         self._near = near
-        return self._fill(near, margin)
+        return self._fill(near, second, margin)
 
     def base_margin(self, snapshot: Snapshot, poses: Poses) -> Array:
         """Margins (n, F, O) [m]: what is asked for and the obstacles' spread."""
@@ -101,21 +110,18 @@ class ObstacleRows:
         limit = np.broadcast_to(np.where(self._asked, self.finder.reach, -np.inf)[None, :, None], shape)
         return self.finder.find(snapshot, poses, limit), self.base_margin(snapshot, poses)
 
-    def _fill(self, near: Nearest, margin: Array) -> Array:
-        n, obstacles = len(near.distance), near.distance.shape[2]
-        out = np.zeros((n, len(self.index), self.slots, WIDTH))
-        count = min(self.slots, obstacles)
-        if count:
-            excess = (near.distance - margin)[:, self.index]
-            chosen = np.sort(np.argsort(excess, axis=2, kind="stable")[..., :count], axis=2)
-            take = lambda a: np.take_along_axis(a[:, self.index], chosen, axis=2)
-            wide = lambda a: np.take_along_axis(a[:, self.index], chosen[..., None], axis=2)
-            there = np.isfinite(take(near.distance))
-            part = out[:, :, :count]
-            part[..., :3] = np.where(there[..., None], wide(near.normal), 0.0)
-            part[..., 3:6] = np.where(there[..., None], wide(near.point), 0.0)
-            part[..., 6] = np.where(there, take(near.level) + take(margin), 0.0)
-        return out.reshape(n, -1)
+    def _fill(self, near: Nearest, second: Nearest, margin: Array) -> Array:
+        out = np.zeros((len(near.distance), self.size, WIDTH))
+        count = min(self.slots, near.distance.shape[2])
+        excess = (near.distance - margin)[:, self.index]
+        chosen = np.sort(np.argsort(excess, axis=2, kind="stable")[..., :count], axis=2)
+        start, long = np.cumsum(self.counts) - self.counts, self._long[self.index]
+        slots = np.arange(count)
+        out[:, start[:, None] + slots] = _entries(near, margin, np.array(self.index), chosen)
+        if long.any():  # other ends of the same obstacles
+            at = start[long][:, None] + self.slots + slots
+            out[:, at] = _entries(second, margin, np.array(self.index)[long], chosen[:, long])
+        return out.reshape(len(out), -1)
 
     def clearance(self, snapshot: Snapshot, times: Array, states: Array) -> Clearance:
         """The least excess over its margins of the plan that a solve made of what :meth:`refresh` set."""
@@ -155,6 +161,16 @@ class ObstacleRows:
             float(distance[k, f, o]), float(margin[k, f, o]), self.geometry.frames[f], snapshot.obstacles[o].name, int(k),
             float(times[k]),
         )  # fmt: skip
+
+
+def _entries(near: Nearest, margin: Array, frames: Ints, chosen: Ints) -> Array:
+    """Parameters (n, f, k, :data:`WIDTH`) of ``frames`` (f) and the ``chosen`` obstacles (n, f, k) of each."""
+    take = lambda a: np.take_along_axis(a[:, frames], chosen if a.ndim == 3 else chosen[..., None], axis=2)
+    there, out = np.isfinite(take(near.distance)), np.zeros((*chosen.shape, WIDTH))
+    out[..., :3] = np.where(there[..., None], take(near.normal), 0.0)
+    out[..., 3:6] = np.where(there[..., None], take(near.point), 0.0)
+    out[..., 6] = np.where(there, take(near.level) + take(margin), 0.0)
+    return out
 
 
 class SelfRows:

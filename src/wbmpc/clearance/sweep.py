@@ -70,7 +70,7 @@ def keep_sides(finder: Finder, snapshot: Snapshot, poses: Poses, near: Nearest, 
         if isinstance(obstacle.shape, HalfSpace):
             continue
         track, frames = aside(snapshot, obstacle), np.flatnonzero(suspect[:, o]).tolist()
-        if track is not None:
+        if track is not None and not isinstance(obstacle.shape, DistanceGrid):
             _leave_track(finder, snapshot, poses, near, margin, through[:, :, o], frames, o, track)
             continue
         for f in frames:

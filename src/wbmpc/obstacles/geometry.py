@@ -103,6 +103,17 @@ class RobotGeometry:
         return far
 
     @cached_property
+    def lengths(self) -> Array:
+        """How long (F, 3) [m] the shapes of each frame are together, along its axes."""
+        low, high, axes = np.full((len(self.frames), 3), np.inf), np.full((len(self.frames), 3), -np.inf), np.eye(3)
+        for s, f in zip(self.shapes, self.frame_of, strict=True):
+            turn = s.solid.rotation
+            ends = [s.solid.position + s.solid.support(sign * axes @ turn) @ turn.T for sign in (-1.0, 1.0)]
+            low[f] = np.minimum(low[f], np.diagonal(ends[0]))
+            high[f] = np.maximum(high[f], np.diagonal(ends[1]))
+        return np.asarray(high - low)
+
+    @cached_property
     def spheres(self) -> tuple[Array, Array, Array]:
         """Balls that cover all surfaces, for distances to points and grids: frame (b), center in it (b, 3), radius (b) [m]."""
         frames, centers, radii = [], [], []

@@ -102,7 +102,9 @@ def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
     order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
     named = [pairs[i] for i in order]
     listed = lambda mask: tuple(pairs[i] for i in np.flatnonzero(mask))
-    return Listing(tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn), len(near))
+    return Listing(
+        tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn), len(apart)
+    )
 
 
 def own_margins(robot: RobotModel, pairs: Sequence[Pair], margin: float) -> Array:

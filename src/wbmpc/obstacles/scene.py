@@ -22,7 +22,7 @@ _SHAPES: dict[str, tuple[type[Any], tuple[str, ...], tuple[str, ...]]] = {
     "half_space": (HalfSpace, ("normal",), ("offset",)),
     "convex_mesh": (ConvexMesh, ("vertices",), ()),
 }
-_PLACES = ("position", "orientation", "velocity", "std", "velocity_std")
+_PLACES = ("position", "orientation", "velocity", "std", "velocity_std", "ignore")
 #: What only a simulated scene has.
 _SIMULATED = ("appears",)
 
@@ -43,7 +43,7 @@ def read_scene(path: str | Path, simulated: bool = False) -> Iterator[SceneObsta
     """The obstacles of a YAML file.
 
     ``obstacles: {pillar: {cylinder: {a: [2, 0, 0], b: [2, 0, 1.5], radius: 0.1}, velocity: [0, 0.2, 0]}}``: one shape each (sphere,
-    capsule, cylinder, box, half_space, convex_mesh), and position, orientation, velocity, std, velocity_std; of a ``simulated`` scene
+    capsule, cylinder, box, half_space, convex_mesh), and position, orientation, velocity, std, velocity_std, ignore; of a ``simulated`` scene
     also ``appears`` [s]. Raises :class:`InputError` naming file, obstacle and key.
     """
     if not isinstance(path, str | Path):

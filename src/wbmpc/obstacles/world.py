@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -38,7 +38,8 @@ MAX_OBSTACLES = 10_000
 class Obstacle:
     """One obstacle: its ``shape`` at ``position`` (3) [m] and ``orientation`` (4) in ``frame`` at time ``seen`` [s]; it moves with
     ``velocity`` (3) [m/s]. ``std`` [m] and ``velocity_std`` [m/s]: standard deviations; ``expire`` [s]: how long after ``seen`` it is there;
-    ``max_age`` [s]: how long after ``seen`` one may still plan with it. ``side``: of a distance grid, which of its nearest points is meant.
+    ``max_age`` [s]: how long after ``seen`` one may still plan with it. ``ignore``: frames of the robot that may touch it. ``side``: of a
+    distance grid, which of its nearest points is meant.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Obstacle:
     expire: float
     frame: str
     max_age: float = np.inf
+    ignore: tuple[str, ...] = ()
     side: int = 0
 
     def age(self, times: Array) -> Array:
@@ -107,14 +109,15 @@ class Obstacles:
         expire: float = np.inf,
         max_age: float = np.inf,
         frame: str = WORLD,
+        ignore: Sequence[str] = (),
     ) -> None:
         """Add an obstacle, or replace the one of that name.
 
         ``shape`` stands at ``position`` (3) [m] and ``orientation`` (4, w, x, y, z) of ``frame`` at time ``seen`` [s] (left out: when the
         next solve begins), and goes on with ``velocity`` (3) [m/s]. Margins grow by twice the standard deviation of where it is
         predicted: ``std`` [m], and ``velocity_std`` [m/s] times the time since. It is removed ``expire`` [s] after ``seen``. If it is not
-        set again within ``max_age`` [s], plans end in a stop: use it for obstacles that sensors must keep seeing. Raises
-        :class:`InputError` naming the obstacle.
+        set again within ``max_age`` [s], plans end in a stop: use it for obstacles that sensors must keep seeing. ``ignore``: frames of the robot
+        that need not keep clear of it, such as that with the wheels, of the floor. Raises :class:`InputError` naming the obstacle.
         """
         who = _named(name)
         if not isinstance(shape, tuple(_SHAPES.values())):
@@ -132,11 +135,9 @@ class Obstacles:
         found = Obstacle(
             name, shape, checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation),
             checks.numbers(who, "velocity", velocity, 3).copy(), float(std), float(velocity_std),
-            np.nan if seen is None else float(seen), float(expire), frame, float(max_age),
+            np.nan if seen is None else float(seen), float(expire), frame, float(max_age), _frames(who, ignore),
         )  # fmt: skip
         checks.at_most(who, LARGEST, position=found.position, velocity=found.velocity)
-        if isinstance(shape, DistanceGrid) and found.velocity.any():
-            raise InputError(f"{who}: a distance grid does not move; valid: a velocity of zeros")
         with self._lock:
             self._check_frame(who, frame)
             if len(self._obstacles) >= MAX_OBSTACLES and name not in self._obstacles:
@@ -163,6 +164,7 @@ class Obstacles:
             self.set(
                 name, old.shape, position=position, orientation=turn, velocity=velocity, std=old.std,
                 velocity_std=old.velocity_std, seen=seen, expire=old.expire, max_age=old.max_age, frame=old.frame,
+                ignore=old.ignore,
             )  # fmt: skip
 
     def set_frame(self, name: str, position: ArrayLike, orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
@@ -244,6 +246,12 @@ class Obstacles:
             raise InputError(f"{who}: 'frame' needs a name, got {checks.quoted(frame)}")
         if frame != WORLD and frame not in self._frames:
             raise unknown_name("frame", frame, [WORLD, *sorted(self._frames)], where=who)
+
+
+def _frames(who: str, names: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(n, str) for n in names):
+        raise InputError(f"{who}: 'ignore' needs a list of names of frames, got {checks.quoted(names)}")
+    return tuple(names)
 
 
 def _named(name: str) -> str:

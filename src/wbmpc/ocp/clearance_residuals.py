@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import ClassVar, Literal
 
 import casadi as ca
@@ -24,12 +25,16 @@ Pair = tuple[str, str]
 WIDTH, SELF_WIDTH = 7, 10
 #: Of an arm's accelerations, what it brakes with before it comes near itself; the rest is for lag, delay, and what else it has to do.
 BRAKING_SHARE = 0.6
+#: Frames whose shapes are as long as this [m] have twice as many rows: the nearest point of a long face that is parallel to another one
+#: jumps from end to end, and a single row would let the other end in.
+LONG = 0.5
 
 
 @dataclass(frozen=True)
 class Clearance:
     """Distance of each of the robot's ``frames`` (None: all with shapes) to its ``slots`` nearest obstacles, minus ``margin`` [m] (None: the
-    robot file's ``collision.margin``), all to be at least zero: a hard constraint with a slack.
+    robot file's ``collision.margin``), all to be at least zero: a hard constraint with a slack. Frames longer than :data:`LONG` have twice as
+    many rows, for both ends of what is along an obstacle.
 
     ``MPC(ocp, obstacles=world)`` sets the rows before every solve.
     """
@@ -56,9 +61,17 @@ class Clearance:
         object.__setattr__(self, "margin", float(margin))
 
     @property
+    def counts(self) -> tuple[int, ...]:
+        """How many rows each frame has."""
+        geometry = robot_geometry(self.robot)
+        length = geometry.lengths.max(axis=1)
+        index = [geometry.frames.index(f) for f in self.frames or ()]
+        return tuple(int(self.slots) * (2 if length[i] >= LONG else 1) for i in index)
+
+    @property
     def size(self) -> int:
         """How many rows."""
-        return len(self.frames or ()) * int(self.slots)
+        return sum(self.counts)
 
     @property
     def reference(self) -> int:
@@ -68,13 +81,14 @@ class Clearance:
     @property
     def groups(self) -> Mapping[str, slice]:
         """The rows of each frame."""
-        return {name: slice(i * self.slots, (i + 1) * self.slots) for i, name in enumerate(self.frames or ())}
+        ends = list(accumulate(self.counts, initial=0))
+        return {name: slice(ends[i], ends[i + 1]) for i, name in enumerate(self.frames or ())}
 
     def __call__(self, s: Symbols) -> ca.SX:
         chain, out = self.robot.base.chain(s.x), []
-        for i, name in enumerate(self.frames or ()):
+        for name, rows in self.groups.items():
             position, turn = chain.frame_place(self.robot.tree.frames[name])
-            for k in range(i * self.slots, (i + 1) * self.slots):
+            for k in range(rows.start, rows.stop):
                 row = s.reference[WIDTH * k : WIDTH * (k + 1)]
                 gap = ca.dot(row[:3], position + turn @ row[3:6]) - row[6]
                 out.append(gap + _absent(row))

@@ -25,7 +25,7 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
         "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
         **({} if c.adapter.brakes is None else {"legs held": getattr(c.adapter.controller, "holds", 0)}),
-        "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
+        **plan_clearance(c), "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
         "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
         "observation to active policy: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
         "tick begins late: 99 % [ms]": _ms(r.jitter.p99), "tick takes: median [ms]": _ms(r.tick.median),
@@ -33,6 +33,14 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         "command after its tick's time: 99 % [ms]": _ms(r.sent.p99),
         **{f"late commands: {part}": count for part, count in r.late_commands.items()},
     }  # fmt: skip
+
+
+def plan_clearance(controller: ControlNode) -> dict[str, Any]:
+    """The pair of the plan that lacks most of its margin, and how many plans were replaced by a stop, of a node that hears of obstacles."""
+    mpc = controller.adapter.mpc
+    if mpc.obstacles is None:
+        return {}
+    return {"clearance of the plan": str(mpc.clearance), "plans that stop at obstacles": mpc.statistics.braking_plans}
 
 
 def rejections(controller: ControlNode) -> dict[str, str]:

@@ -79,9 +79,15 @@ def followed(mpc: MPC | None, t: float, lift: Array) -> ReferencePoses:
     return ReferencePoses(np.full(7, np.nan) if goal is None else goal, base, way)
 
 
-def timing(mpc: MPC | None) -> dict[str, float]:
-    """How long the last solve took and may take [s]; nan without an MPC."""
-    return {"solve": np.nan, "deadline": np.nan} if mpc is None else {"solve": mpc.solve_time, "deadline": mpc.period}
+def solved(mpc: MPC | None) -> dict[str, float]:
+    """How long the last solve took and may take [s], and the least ``clearance`` [m] of its plan; nan without an MPC, and of a plan with
+    nothing near."""
+    if mpc is None:
+        return dict.fromkeys(("solve", "deadline", "clearance"), np.nan)
+    distance = mpc.clearance.distance
+    return {
+        "solve": mpc.solve_time, "deadline": mpc.period, "clearance": distance if np.isfinite(distance) else np.nan,
+    }  # fmt: skip
 
 
 def numbers(

@@ -21,7 +21,7 @@ from wbmpc.simulation.lockstep import PREPARATION, Ending, Running
 from wbmpc.simulation.scene import Scene
 from wbmpc.view import bounds
 from wbmpc.view.actuator_load import Loads
-from wbmpc.view.core import LiveView, followed, numbers, timing
+from wbmpc.view.core import LiveView, followed, numbers, solved
 from wbmpc.view.history import Factor, Trail
 from wbmpc.view.leg_configuration import LegConfiguration
 from wbmpc.view.process import RATE
@@ -205,7 +205,7 @@ class View(LiveView):
             base_goal = planar(lie.pose_compose(self._drift, spatial(base_goal)))
         joints = reader.joint_states(data)
         others = {
-            "t": t, **timing(mpc), **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
+            "t": t, **solved(mpc), **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
             **self._loads.shares(joints[:, 1], data.actuator_force), "late": np.nan,
             "factor": self._factor.add(time.perf_counter(), t), "ticks": self._ticks, "late_ticks": self._late_ticks,
             "configuration": self._legs.number(joints[:, 0]),

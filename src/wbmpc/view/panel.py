@@ -275,6 +275,8 @@ def plotted(controls: Controls) -> dict[str, tuple[_Line, ...]]:
         ("solve", "solve", "#1f5fa8", 1e3),
         ("deadline", "deadline", "#b7791f", 1e3),
     )
+    if controls.obstacle:
+        figures["Least clearance of the plan [mm]"] = (("clearance", "clearance", red, 1e3),)
     if controls.groups:
         # in percent: the axis has three decimals, and shares of a robot that hardly moves would all be 0
         figures["Speeds / limits, largest of each [%]"] = tuple(

@@ -26,7 +26,7 @@ from wbmpc.simulation.perturbation import perturbation_model
 from wbmpc.simulation.scene import SceneReader
 from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import GROUPS, Loads
-from wbmpc.view.core import LiveView, followed, numbers, timing
+from wbmpc.view.core import LiveView, followed, numbers, solved
 from wbmpc.view.history import Factor, Trail
 from wbmpc.view.leg_configuration import LegConfiguration
 from wbmpc.view.process import RATE
@@ -70,7 +70,7 @@ class RealtimeView(LiveView):
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
-            "brakes": (),
+            "clearance": (), "brakes": (),
         }  # fmt: skip
         drawer = partial(Picture, self.robot_name, self.moments, seen)
         self.start(scene.scene, controls, shown, drawer)
@@ -155,7 +155,7 @@ def _plan(mpc: MPC, t: float, lift: Array) -> dict[str, Any]:
     target, states = followed(mpc, t, lift), thinned(mpc.solver.trajectory(copy=False).x)
     return {
         "plan": filled(states, (PLAN, mpc.dynamics.state.size)), "goal": target.goal, "base_goal": target.base,
-        "reference": filled(target.way, (REFERENCE, 3)), **timing(mpc),
+        "reference": filled(target.way, (REFERENCE, 3)), **solved(mpc),
     }  # fmt: skip
 
 
@@ -201,7 +201,8 @@ class Picture:
         base_plan, end_effector_plan = predicted(self.robot, self.robot.state, states, self._lift)
         ways = {"end_effector_plan": end_effector_plan, "base_plan": base_plan}
         others: dict[str, Any] = {
-            "t": self._moment["t"], "late": self._moment["late"], "solve": plan["solve"], "deadline": plan["deadline"], **self._speeds(),
+            "t": self._moment["t"], "late": self._moment["late"],
+            **{name: plan[name] for name in ("solve", "deadline", "clearance")}, **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
             "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
             "configuration": self._legs.number(self._reader.joint_states(self._plant.data)[:, 0]),

@@ -126,12 +126,22 @@ class Film:
         if "/mpc/solve_time" in self.recording.topics:
             table = self.recording.table("/mpc/solve_time")
             found["solve"] = (table.times, table.columns["data"])
+            found |= self._clearance(table.times)
         if "/joint_states" in self.recording.topics:
             table = self.recording.table("/joint_states")
             speeds = [np.abs(column) for name, column in table.columns.items() if name.startswith("velocity.")]
             if speeds:
                 found["speed"] = (table.times, np.max(speeds, axis=0))
         return found
+
+    def _clearance(self, times: Array) -> dict[str, tuple[Array, Array]]:
+        """Of the plans of solves at ``times`` (n) [s]: only those with something near have one."""
+        if "/mpc/clearance" not in self.recording.topics:
+            return {}
+        table, values = self.recording.table("/mpc/clearance"), np.full(len(times), np.nan)
+        _, there, which = np.intersect1d(times, table.times, return_indices=True)
+        values[there] = table.columns["data"][which]
+        return {"clearance": (times, values)}
 
     # ------------------------------------------------------------------ pictures
     def picture(self, t: float) -> dict[str, Array]:

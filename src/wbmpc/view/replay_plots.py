@@ -15,7 +15,7 @@ POINTS, PERIOD = 400, 0.2
 #: Number of a replay: title of its plot, and by how much it is multiplied for the title's unit.
 _TITLES = {
     "error": ("End effector position error [mm]", 1e3), "solve": ("Solve time and deadline [ms]", 1e3),
-    "speed": ("Largest joint speed [rad/s]", 1.0),
+    "clearance": ("Least clearance of the plan [mm]", 1e3), "speed": ("Largest joint speed [rad/s]", 1.0),
 }  # fmt: skip
 _BLUE, _AMBER, _GRAY = "#1f5fa8", "#b7791f", "#7b8894"
 

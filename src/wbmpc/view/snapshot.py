@@ -25,10 +25,10 @@ ABOVE = 0.3
 #: those of :data:`~wbmpc.view.actuator_load.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
 #: support polygon and the active triangle.
 #: ``late``: by how much a tick of a real-time run began late; ``factor``: the run's time over the clock's; ``late_ticks``: how many
-#: of the ``ticks`` were late; ``configuration``: of the legs, see :mod:`wbmpc.view.leg_configuration`.
+#: of the ``ticks`` were late; ``configuration``: of the legs, see :mod:`wbmpc.view.leg_configuration`; ``clearance``: least of the plan.
 NUMBERS = (
     "t", "error", "turn", "base", "solve", "deadline", *GROUPS, "margin", "triangle_margin", "late", "factor", "ticks",
-    "late_ticks", "configuration",
+    "late_ticks", "configuration", "clearance",
 )  # fmt: skip
 #: Shapes of what :func:`ground` finds.
 GROUND: dict[str, tuple[int, ...]] = {
@@ -102,9 +102,11 @@ def errors(end_effector: Array, goal: Array, base: Array, base_goal: Array) -> d
 
 
 def status_text(numbers: Mapping[str, float], configurations: Sequence[str] = ()) -> str:
-    """The end effector's error, how far the ZMP is inside of what it must stay in, how late the run is, how its legs stand (by the
-    names of its ``configurations``): lines of Markdown after a first one."""
+    """The end effector's error, how clear the plan is, how far the ZMP is inside of what it must stay in, how late the run is, how its legs
+    stand (by the names of its ``configurations``): lines of Markdown after a first one."""
     lines = [f"end effector error {1e3 * numbers['error']:.1f} mm"] if np.isfinite(numbers["error"]) else []
+    clear = numbers.get("clearance", np.nan)
+    lines += [f"least clearance of the plan {1e3 * clear:.0f} mm"] if np.isfinite(clear) else []
     margins = [
         f"{1e3 * abs(numbers[name]):.0f} mm {'inside' if numbers[name] > 0.0 else 'outside'} the {what}"
         for name, what in (("margin", "polygon"), ("triangle_margin", "triangle"))
