@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from clearing import TrueDistance, write_arm
-from wbmpc.cli import main
 from wbmpc.clearance.rows import SelfRows
+from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.obstacles.geometry import RobotGeometry, _cover, robot_geometry
