@@ -13,7 +13,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.speeds import SpeedMPC
 from wbmpc.obstacles.floor import floor_boxes
-from wbmpc.obstacles.pairs import arm_pairs, self_pairs
+from wbmpc.obstacles.pairs import arm_pairs, draw_states, self_pairs
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import (
     Constraint,
@@ -27,6 +27,7 @@ from wbmpc.ocp import (
     sets,
     with_accelerations,
 )
+from wbmpc.ocp.base_residuals import UprightPart
 from wbmpc.ocp.clearance_residuals import stopping_time
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.ocp.symbols import Residual
@@ -55,6 +56,8 @@ ACCELERATION_SHARE = 0.6
 #: Of the center of mass's distance to the border of the support polygon at home, what plans on speeds keep of the center of mass at rest,
 #: and of the zero-moment point: masses, lag of drives, and what accelerations do in other postures are not exact.
 CENTER_SHARE, ZMP_SHARE = 0.5, 0.2
+#: Random states that show how near to the border an arm can bring the center of mass.
+STANCES = 100
 #: Of stability rows: per share of a wheel's mean load and per meter of the zero-moment point, each per second.
 LOAD_SLACK, MARGIN_SLACK = 1e4, 1e5
 #: Where the payload and the coefficient of friction are in the reference of these rows.
@@ -134,15 +137,25 @@ def default_problem(
 def keep_standing(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlProblem:
     """The problem on speeds with hard rows "upright" (:class:`wbmpc.residuals.Upright`) that keep center of mass and zero-moment point
     away from the border of the support polygon, by :data:`CENTER_SHARE` and :data:`ZMP_SHARE` of the distance at home: of a base that
-    stands on 3 feet or more. As it is for a robot whose masses say that it does not stand at home."""
+    stands on 3 feet or more, and that could bring them there. As it is for a robot whose masses say that it does not stand at home."""
     footprint = robot.base.footprint
-    if footprint is not None and footprint.size >= 3:
-        at_home = StanceOf(robot)(robot.home).polygon_margin
-        if at_home > 0.0:
-            rows = residuals.Upright(robot)
-            n = rows.size // 2
-            inside = sets.Box(at_home * np.repeat([CENTER_SHARE, ZMP_SHARE], n), np.inf)
-            ocp.add(Constraint("upright", rows, inside, hard=True, slack=MARGIN_SLACK))
+    if footprint is None or footprint.size < 3:
+        return ocp
+    stance = StanceOf(robot)
+    at_home = stance(robot.home).polygon_margin
+    if not at_home > 0.0:
+        return ocp
+    kept: dict[UprightPart, float] = {"center": CENTER_SHARE * at_home, "zmp": ZMP_SHARE * at_home}
+    rates = np.nan_to_num(robot.limits.input_rate, posinf=0.0)
+    least: dict[UprightPart, float] = {
+        "center": min(stance(x).polygon_margin for x in draw_states(robot, STANCES)),
+        "zmp": at_home - float((np.abs(residuals.Upright(robot).pushes) @ rates).max()),
+    }
+    parts = tuple(part for part in kept if not least[part] >= kept[part])
+    if parts:
+        rows = residuals.Upright(robot, parts=parts)
+        inside = sets.Box(np.repeat([kept[part] for part in parts], rows.size // len(parts)), np.inf)
+        ocp.add(Constraint("upright", rows, inside, hard=True, slack=MARGIN_SLACK))
     return ocp
 
 

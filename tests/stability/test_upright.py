@@ -12,7 +12,7 @@ import pytest
 
 import wbmpc as wb
 from planar_driving import write_robot
-from wbmpc.default_problem import CENTER_SHARE, default_mpc, default_problem
+from wbmpc.default_problem import CENTER_SHARE, ZMP_SHARE, default_mpc, default_problem
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.obstacles.pairs import draw_states
 from wbmpc.ocp import Reference, residuals
@@ -99,6 +99,24 @@ def test_default_plans_keep_a_tall_robot_upright() -> None:
         x, t = mpc.simulate(x, policy(t), mpc.period), t + mpc.period
         margins.append(stance(x).polygon_margin)
     assert min(margins) > 0.9 * CENTER_SHARE * stance(robot.home).polygon_margin
+
+
+@pytest.mark.parametrize(
+    "name, parts", [("ridgeback-ur5", ()), ("mecanum-ur10", ()), ("fetch", ("zmp",)), ("vega", ("center", "zmp"))]
+)
+def test_robots_have_rows_for_what_can_tip_them_over(name: str, parts: tuple[str, ...]) -> None:
+    """Truth: stances in random states, and at home under the largest acceleration of each input, all at their worst."""
+    robot = load_robot(name)
+    terms, stance, home = default_problem(robot).terms, StanceOf(robot), robot.home
+    assert (terms["upright"].residual.parts if "upright" in terms else ()) == parts
+    still, rates = stance(home), np.nan_to_num(robot.limits.input_rate, posinf=0.0)
+    center = min(stance(x).polygon_margin for x in draw_states(robot, 100))
+    assert (center < CENTER_SHARE * still.polygon_margin) == ("center" in parts)
+    shifts = np.array([stance(home, u_rate=row).zmp - still.zmp for row in np.diag(rates)])
+    ways = [still.feet[i] - still.feet[j] for i in range(len(still.feet)) for j in range(i)]
+    sides = [np.array([-w[1], w[0]]) / np.linalg.norm(w) for w in ways]
+    worst = max(float(np.abs(shifts @ side).sum()) for side in sides)
+    assert (still.polygon_margin - worst < ZMP_SHARE * still.polygon_margin) == ("zmp" in parts)
 
 
 def test_what_keeps_wheels_loaded_takes_their_place() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -142,6 +142,10 @@ class SupportMargin:
         return ca.vertcat(*[support.distances(feet, zmp) for feet in self.polygons])
 
 
+#: The center of mass, and the zero-moment point.
+UprightPart = Literal["center", "zmp"]
+
+
 @dataclass(frozen=True)
 class Upright:
     """What keeps a robot from tipping over in plans whose inputs are speeds: distances [m] to the edges of its support polygon, positive
@@ -154,12 +158,13 @@ class Upright:
     it acts next, and a mean one later.
 
     Reference: the last command (n) and the time [s] since it was given; without a time (0) speeds are constant. Of a base that stands
-    level. ``feet``: indices of the polygon's corners; ``groups``: one row for each of n edges, "center" and then "zmp";
+    level. ``parts``: which of the two. ``feet``: indices of the polygon's corners; ``groups``: one row for each of n edges, by part;
     ``pushes`` (n, nu) [m s², m s²/rad]: how far a unit of each input's acceleration moves the point away from each edge at home.
     """
 
     robot: RobotModel
     approach: float | None = None
+    parts: tuple[UprightPart, ...] = ("center", "zmp")
     groups: Mapping[str, slice] = field(init=False, repr=False)
     feet: tuple[int, ...] = field(init=False, repr=False)
     pushes: NDArray[np.float64] = field(init=False, repr=False, compare=False)
@@ -176,7 +181,7 @@ class Upright:
         inward = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1, keepdims=True)
         object.__setattr__(self, "feet", feet)
         n = len(feet)
-        object.__setattr__(self, "groups", {"center": slice(0, n), "zmp": slice(n, 2 * n)})
+        object.__setattr__(self, "groups", {part: slice(n * k, n * (k + 1)) for k, part in enumerate(self.parts)})
         object.__setattr__(self, "pushes", inward @ np.array(shifts).T / SMALL)
 
     @property
@@ -187,7 +192,7 @@ class Upright:
     @property
     def size(self) -> int:
         """How many rows."""
-        return 2 * len(self.feet)
+        return len(self.parts) * len(self.feet)
 
     @property
     def reference(self) -> int:
@@ -201,7 +206,8 @@ class Upright:
         ahead = ca.jtimes(inside, s.x, self.robot.dynamics()(s.x, s.u, s.parameters, s.mode))
         since = s.reference[n]
         change = (since > 0.0) * (s.u - s.reference[:n]) / (since + (since <= 0.0))
-        return ca.vertcat(inside + float(self.approach or 0.0) * ahead, inside + constant(self.pushes) @ change)
+        rows = {"center": inside + float(self.approach or 0.0) * ahead, "zmp": inside + constant(self.pushes) @ change}
+        return ca.vertcat(*[rows[part] for part in self.parts])
 
 
 @dataclass(frozen=True)
