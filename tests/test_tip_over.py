@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import wbmpc as wb
 from toys import robot
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.log import Log
+from wbmpc.model.robot import load_robot
 from wbmpc.registry import load
-from wbmpc.tasks.tip_over import TipOverSettings, build, longest, reaching, stopping
+from wbmpc.stability import StanceOf
+from wbmpc.tasks.tip_over import TipOverSettings, build, check_stands, longest, reaching, stopping
 
 
 def test_the_longest_time_in_the_air_is_of_one_wheel_without_a_break() -> None:
@@ -50,3 +53,19 @@ def test_settings_that_nothing_reads_are_errors() -> None:
         build(TipOverSettings(physics="kinematic"), 0)
     with pytest.raises(InputError, match=r"stability.*payload.*nothing uses it without"):
         configure(load("hold").config_type, ["stability.payload=3"], "hold")
+
+
+@pytest.mark.parametrize("direction", [0.0, np.pi / 2, np.pi])
+@pytest.mark.parametrize("kept", [0.0, 0.03])
+def test_a_robot_that_a_load_tips_over_at_rest_is_an_error(direction: float, kept: float) -> None:
+    """Truth: where the common center of mass of robot and load is, and SciPy's hull of the feet."""
+    robot = reaching(load_robot("differential-ur10"), direction, "home")
+    stance, end = StanceOf(robot)(robot.home), robot.pose(robot.home)[0][:2]
+    faces = ConvexHull(stance.feet).equations
+    loads = np.linspace(0.0, 60.0, 601)
+    centers = (stance.mass * stance.com[:2] + loads[:, None] * end) / (stance.mass + loads)[:, None]
+    inside = -(centers @ faces[:, :2].T + faces[:, 2]).max(axis=1)
+    bears = loads[np.flatnonzero(inside > kept)[-1]]
+    check_stands(robot, bears - 0.1, kept)
+    with pytest.raises(InputError, match=r"'differential-ur10' does not stand with .* valid: a smaller plant.payload"):
+        check_stands(robot, bears + 0.2, kept)

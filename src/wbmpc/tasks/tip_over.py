@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
-from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
+from wbmpc.settings import Positive, Robot, Stability, SupportMarginSettings, WheelLoadSettings
 from wbmpc.simulation.any_perturbation import AnyPerturbation
-from wbmpc.stability import leg_angles, standing
+from wbmpc.stability import StanceOf, leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
@@ -134,13 +135,27 @@ def stopping(log: Log, ordered: float) -> dict[str, Metric]:
     }
 
 
+def check_stands(robot: RobotModel, payload: float, kept: float = 0.0) -> None:
+    """Raise :class:`InputError` for a robot that at rest at home, with ``payload`` [kg] at its end effector, tips over or does not keep its
+    zero-moment point ``kept`` [m] within its support: a plan could only begin with a leap."""
+    margin = StanceOf(robot)(robot.home, (0.0, 0.0, -payload * GRAVITY, 0.0, 0.0, 0.0)).polygon_margin
+    if not margin > kept:
+        raise InputError(
+            f"tip-over: '{robot.description.name}' does not stand with {payload:g} kg at full reach: its zero-moment point is "
+            f"{1e3 * margin:.0f} mm within its support, more than {1e3 * kept:g} mm are needed; valid: a smaller plant.payload, another direction"
+        )
+
+
 def build(settings: TipOverSettings, seed: int) -> Scenario:
     """One run."""
     if settings.physics != "mujoco":
         raise InputError("tip-over: physics=kinematic: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
     moving_base(robot, "tip-over")
-    robot, mpc = settings.prepare(robot=reaching(robot, settings.direction, settings.legs))
+    robot = reaching(robot, settings.direction, settings.legs)
+    kept = settings.stability.margin if isinstance(settings.stability, SupportMarginSettings) else 0.0
+    check_stands(robot, settings.plant.payload, kept)
+    robot, mpc = settings.prepare(robot=robot)
     start, ordered = settings.settle_time, settings.settle_time + settings.ramp + settings.cruise
     length = settings.speed * (settings.ramp + settings.cruise + mpc.ocp.horizon)
     line = Line(length=length, direction=settings.direction, speed=settings.speed, ramp=settings.ramp)
