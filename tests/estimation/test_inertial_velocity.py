@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from effort import draws
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
-from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, ANNOUNCED, COAST, FOLLOW, NEAR
+from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, ANNOUNCED, FOLLOW, NEAR
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.slipping_wheels import OVER
@@ -89,7 +89,7 @@ def test_the_step(backend: Backend) -> None:
         off = seen.reshape(4, 2) - average
         weights = 1.0 / (1.0 + np.sum(off**2, axis=1) / NEAR**2)
         shares = np.where(known, ANNOUNCED, 1.0)
-        step = H / FOLLOW * (shares @ off) / shares.sum() if calm else H / COAST * (weights @ off) / 4.0
+        step = H / FOLLOW * (shares @ off) / shares.sum() if calm else H / FOLLOW * (weights @ off) / 4.0
         v, average, zero = v + step, average + step, zero - calm * step / ACCELERATION_ZEROS
         np.testing.assert_allclose(found.weights, weights, rtol=1e-9)
         np.testing.assert_allclose(found.velocity, v - rate * np.array([-mount[1], mount[0]]), atol=1e-12)

@@ -12,9 +12,8 @@ from wbmpc.kernel.ir import Floats
 #: Time [s] over which tilts are forgotten; over which the rates' zeros are learned by a base at rest, and by one that moves; speed
 #: [m/s] of a base at rest.
 TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005
-#: Times [s] in which the velocity goes to that of wheels which agree, and of wheels that contradict each other; in which accelerations'
-#: zeros are learned.
-FOLLOW, COAST, ACCELERATION_ZEROS = 0.05, 1.0, 3.0
+#: Times [s] in which the velocity goes to the wheels', and in which accelerations' zeros are learned.
+FOLLOW, ACCELERATION_ZEROS = 0.05, 3.0
 #: A wheel whose velocity is off by this [m/s] counts half.
 NEAR = 0.02
 #: What a wheel counts at most of which the controller knows that it slips.
@@ -30,7 +29,7 @@ def inertial_velocity(
     ``inertial`` velocity (2) [m/s] of the unit at ``mount`` (3) [m], the base's ``averaged`` (2) over a time ``over`` [s] as velocities
     ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that go as the unit does. ``calm``: the wheels agree,
     and the velocity follows them, but for those ``announced`` (n), 1 for wheels that are known to slip; else it follows those near it,
-    and slowly. ``tilt`` (2) [rad] about x and y, ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are
+    the less the fewer they are. ``tilt`` (2) [rad] about x and y, ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are
     memory."""
     rests = max(abs(inertial[0]), abs(inertial[1])) < REST
     for j in range(2):
@@ -52,7 +51,7 @@ def inertial_velocity(
         total += share
         ahead += share * off_x
         aside += share * off_y
-    gain = h / FOLLOW / max(total, 1e-9) if calm else h / COAST / n
+    gain = h / FOLLOW / (max(total, 1e-9) if calm else n)
     for j in range(2):
         off = gain * (ahead if j == 0 else aside)
         inertial[j] += off

@@ -23,8 +23,8 @@ class InertialVelocity:
     wheel, an array that goes on. ``mount`` (3) [m]: where the inertial unit is, in axes of the base. ``weights`` (n): 1 for wheels that
     go with the base, less for others. ``backend``: machine code, or the same source as ordinary Python.
 
-    While wheels contradict each other the velocity coasts: integrals of accelerations are off by a few mm/s after half a second. What
-    lasts (zeros, tilt of the floor) is learned from wheels that agree.
+    Where no wheel is near, the velocity coasts: integrals of accelerations are off by a few mm/s after half a second. What lasts (zeros,
+    tilt of the floor) is learned from wheels that agree.
     """
 
     def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), backend: Backend = "compiled") -> None:
