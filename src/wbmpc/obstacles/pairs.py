@@ -31,7 +31,7 @@ FILE_SAMPLES, OFTEN, MAX_PAIRS = 2000, 0.5, 20
 MAX_BOUNDS, AT_ONCE, MAX_EXACT, MAX_SHAPES = 10_000_000, 1_000_000, 300_000, 1000
 #: Shapes that are nearer [m] overlap.
 TOUCHING = 1e-6
-#: A pair that is near at home keeps this share of its distance there, if that is less than its margin.
+#: A pair that is nearer than its margin at home keeps this share of its distance there.
 HOME_SHARE = 0.5
 #: Slides are those of one telescope if the cosine of their axes is more.
 PARALLEL = 0.999
@@ -95,9 +95,9 @@ def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
     """What a robot file should say of ``collision.self.pairs``. Raises :class:`~wbmpc.errors.InputError` for a robot without shapes."""
     geometry, margin = robot_geometry(robot), robot.description.collision.self.margin
     pairs = [p for p in combinations(_bodies(geometry), 2) if not _adjacent(robot, *p)]
-    apart = distances(geometry, pairs, draw_states(robot, samples), max(margin / HOME_SHARE, TOUCHING))
+    apart = distances(geometry, pairs, draw_states(robot, samples), max(margin, TOUCHING))
     close, drawn = apart[0] < TOUCHING, (apart < TOUCHING).mean(axis=0) >= OFTEN
-    share = (apart < np.minimum(margin, HOME_SHARE * apart[0])).mean(axis=0)
+    share = (apart < _kept(apart[0], margin)).mean(axis=0)
     close |= drawn
     order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
     named = [pairs[i] for i in order]
@@ -108,10 +108,14 @@ def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
 
 
 def own_margins(robot: RobotModel, pairs: Sequence[Pair], margin: float) -> Array:
-    """What each pair keeps (pairs) [m]: ``margin``, or of one that is near at home :data:`HOME_SHARE` of its distance there: the
+    """What each pair keeps (pairs) [m]: ``margin``, or of one that is nearer at home :data:`HOME_SHARE` of its distance there: the
     simulation lets it collide like any other. One that touches at home has the whole margin."""
-    at_home = distances(robot_geometry(robot), list(pairs), robot.home[None], max(margin / HOME_SHARE, TOUCHING))[0]
-    return np.where(at_home < TOUCHING, margin, np.minimum(margin, HOME_SHARE * at_home))
+    return _kept(distances(robot_geometry(robot), list(pairs), robot.home[None], max(margin, TOUCHING))[0], margin)
+
+
+def _kept(at_home: Array, margin: float) -> Array:
+    """The same by distances (pairs) [m] at home."""
+    return np.where((at_home < TOUCHING) | (at_home >= margin), margin, HOME_SHARE * at_home)
 
 
 def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:
