@@ -94,8 +94,6 @@ def test_what_a_run_gives_back_is_one_message_with_the_part_that_is_wrong(
         "part['settings'] = {'a': np.float64(np.nan), 'b': [1, (2, None)]}",
     ],
 )
-def test_what_numpy_has_for_numbers_is_as_good(
-    body: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_numpy_has_for_numbers_is_as_good(body: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(write(tmp_path, body)), "--out", str(tmp_path / "run"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["completed"] is True

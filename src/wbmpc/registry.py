@@ -60,7 +60,11 @@ def load(name: str) -> Experiment:
     found = plugins.load(known[name], f"experiment '{name}':")
     where = f"experiment '{name}': {known[name]}"
     checked = _checked(found, where)
-    return checked if known[name].startswith(f"{plugins.OWN}.") else replace(checked, run=partial(_run, where, None, checked.run))
+    return (
+        checked
+        if known[name].startswith(f"{plugins.OWN}.")
+        else replace(checked, run=partial(_run, where, None, checked.run))
+    )
 
 
 def load_file(path: Path) -> Experiment:

@@ -355,7 +355,12 @@ def test_joint_states_that_repeat_themselves_count_where_the_base_rests() -> Non
     repetition = Repetition()
     held = lambda at, turning, groups=still: repetition.goes_on(JointSample(at, groups), turning)
     assert [held(0.01 * k, 0.1) for k in range(100)] == [False] * 100
-    assert [held(1.01, 0.5), held(1.02, 0.5, moved), held(1.03, -0.5, moved), held(1.04, 0.5)] == [True, False, True, False]
+    assert [held(1.01, 0.5), held(1.02, 0.5, moved), held(1.03, -0.5, moved), held(1.04, 0.5)] == [
+        True,
+        False,
+        True,
+        False,
+    ]
     assert [held(2.0, 0.5), held(2.5, 0.1), held(6.9, 0.1), held(7.1, 0.1)] == [True, True, True, False]
     assert repetition.lasted(JointSample(7.1, still)) == pytest.approx(7.1 - 1.04)
     assert not held(0.5, 0.5)  # times went back: another clock

@@ -151,7 +151,16 @@ def clock_back(t: Turned) -> Callable[[], None]:
     return lambda: setattr(t.p.standin, "answers", 5.0)
 
 
-CAUSES = [second_publisher, stale_joints, repeated_joints, silent_imu, broken_message, plan_too_old, clock_ahead, clock_back]
+CAUSES = [
+    second_publisher,
+    stale_joints,
+    repeated_joints,
+    silent_imu,
+    broken_message,
+    plan_too_old,
+    clock_ahead,
+    clock_back,
+]
 
 
 @pytest.mark.parametrize("cause", some(CAUSES, [1, 2, 5, 7]))

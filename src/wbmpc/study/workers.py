@@ -99,7 +99,6 @@ class Cluster:
                 )
             self._done.add(future)  # its result was lost with its worker: another one does it again
 
-
     def _wait(self) -> None:
         """Until something is done; workers of this machine that are gone for good are replaced meanwhile."""
         looked = time.monotonic()
