@@ -116,7 +116,7 @@ class _Tolerant:
         try:
             yield
         except OSError as error:
-            # nobody can be told that standard error cannot be written
+            # where standard error cannot be written, there is no other place to say so
             if not (isinstance(error, BrokenPipeError) or self._last):
                 raise
             # what the stream still holds, and all that follows, goes nowhere
