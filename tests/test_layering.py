@@ -18,7 +18,8 @@ SOURCE = ROOT / "src" / "wbmpc"
 
 PACKAGES = (
     "constants", "errors", "interrupts", "plugins", "mujoco_start", "checks", "logs", "lie", "output_file", "log", "trajectory", "types",
-    "input_file", "json_file", "yaml_file", "configuration", "settings_table", "units", "plots", "result", "report", "run_files", "run_index",
+    "input_file", "json_file", "yaml_file", "configuration", "settings_table", "units", "plots", "result", "result_checks", "report", "run_files",
+    "run_index",
     "bases", "robots", "model", "stability", "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control",
     "runtime", "estimation", "settings", "simulation", "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare",
     "reproduce", "study", "bases/TYPE", "tasks", "benchmark", "cli", "studies", "__main__",

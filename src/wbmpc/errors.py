@@ -12,6 +12,23 @@ def printable(text: str, kept: str = "") -> str:
     return "".join(c if c.isprintable() or c in kept else c.encode("unicode_escape").decode() for c in text)
 
 
+#: What is said in place of an error whose text cannot be made.
+NO_TEXT = "(its text cannot be made)"
+
+
+def text_of(error: BaseException) -> str:
+    """What an error of other people's code says; its ``__str__`` may fail as well."""
+    try:
+        return str(error)
+    except Exception:
+        return NO_TEXT
+
+
+def described(error: BaseException) -> str:
+    """``ValueError: what it says``."""
+    return f"{type(error).__name__}: {text_of(error)}"
+
+
 class WbmpcError(Exception):
     """Base class of all errors raised on purpose by this library. Messages quote what comes from outside; they print safely."""
 

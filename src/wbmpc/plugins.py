@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from wbmpc.errors import InputError, WbmpcError
+from wbmpc.errors import NO_TEXT, InputError, WbmpcError, described, text_of
 from wbmpc.interrupts import interrupted
 
 #: The distribution whose names others cannot take.
@@ -33,13 +33,11 @@ def mistakes_of(what: str, file: Path | None = None, kind: type[WbmpcError] = In
     ``what``. Ctrl-C stays Ctrl-C."""
     try:
         yield
-    except WbmpcError:
-        raise
     except BaseException as error:
-        if interrupted(error):
+        if interrupted(error) or (isinstance(error, WbmpcError) and text_of(error) != NO_TEXT):
             raise
         place = "" if file is None else f"{file}{_line(file, error)}: "
-        raise kind(f"{place}{what}: {type(error).__name__}: {error}") from error
+        raise kind(f"{place}{what}: {described(error)}") from error
 
 
 def _line(file: Path, error: BaseException) -> str:

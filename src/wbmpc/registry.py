@@ -29,6 +29,7 @@ from wbmpc.errors import InputError, ProgramError, unknown_name
 from wbmpc.experiment import Experiment
 from wbmpc.mpc.mpc import MPC
 from wbmpc.result import RunResult
+from wbmpc.result_checks import check_result
 
 GROUP = "wbmpc.experiments"
 #: The entry points of 'wbmpc demo': the same targets again.
@@ -57,7 +58,13 @@ def load(name: str) -> Experiment:
     if name not in known:
         raise unknown_name("experiment", name, known)
     found = plugins.load(known[name], f"experiment '{name}':")
-    return _checked(found, f"experiment '{name}': {known[name]}")
+    where = f"experiment '{name}': {known[name]}"
+    checked = _checked(found, where)
+    return (
+        checked
+        if known[name].startswith(f"{plugins.OWN}.")
+        else replace(checked, run=partial(_run, where, None, checked.run))
+    )
 
 
 def load_file(path: Path) -> Experiment:
@@ -69,15 +76,21 @@ def load_file(path: Path) -> Experiment:
     if not path.is_file():
         raise InputError(f"there is no file '{path}'")
     found = _checked(getattr(_imported(path), "EXPERIMENT", None), f"{path}: EXPERIMENT")
-    return replace(found, run=partial(_run, path, found.run))
+    return replace(found, run=partial(_run, str(path), path, found.run))
 
 
-def _run(path: Path, run: Callable[..., RunResult], *arguments: Any) -> RunResult:
-    """A run of a file's experiment, whose mistakes are no outcome of a robot's."""
-    with plugins.mistakes_of("its run fails", path, ProgramError):
-        result = run(*arguments)
-    if not isinstance(result, RunResult):
-        raise ProgramError(f"{path}: its run: a wbmpc.result.RunResult is needed, got {type(result).__name__}")
+def _run(where: str, file: Path | None, run: Callable[..., RunResult], *arguments: Any) -> RunResult:
+    """A run of other people's experiment, whose mistakes are no outcome of a robot's."""
+    streams = sys.stdout, sys.stderr
+    try:
+        with plugins.mistakes_of("its run fails" if file else f"{where}: its run fails", file, ProgramError):
+            result: RunResult = run(*arguments)
+    finally:
+        sys.stdout, sys.stderr = streams
+    try:
+        check_result(result)
+    except InputError as error:
+        raise ProgramError(f"{where}: the result of its run: {error}") from error
     return result
 
 

@@ -18,7 +18,7 @@ from wbmpc.ros2.network import Network
 from wbmpc.ros2.obstacles import ObstacleTopics
 from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.settings import OBSTACLE_TYPES, RosSettings
-from wbmpc.ros2.transforms import FIXED, KIND, Transforms
+from wbmpc.ros2.transforms import FIXED, KIND, MAX_FRAMES, Transforms
 
 pytestmark = needs_dds
 if not MISSING:
@@ -312,13 +312,36 @@ def test_a_flood_of_frames_keeps_none_out_for_good(bus: Callable[..., Bus]) -> N
     b = bus()
     for k in range(10):
         b.send("/tf", transforms=[transform("nowhere", f"{k}-{i}") for i in range(100)])
-    b.send("/tf", transforms=[transform("base_link", "camera")])
-    assert "unknown frame 'camera'" in b.detect(box("a", 1.0), frame="camera")
     assert "no transforms lead from 'odom' to the frame '1-1'" in b.detect(box("a", 1.0), frame="1-1")
-    b.time += 2.5
-    b.topics.update()
     b.send("/tf", transforms=[transform("base_link", "camera")])
     assert b.detect(box("a", 1.0), frame="camera") == ""
+    b.time += 2.5
+    b.topics.update()
+    assert "unknown frame '1-1'" not in b.detect(box("a", 1.0), frame="1-1")
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["another publisher", "nobody knows whose"])
+def test_a_flood_of_fixed_frames_takes_none_away_that_is_of_use(own: bool) -> None:
+    """Fixed frames never grow old: a thousand of them filled the table until the node was started again. Truth: the frames of the robot
+    and of its camera, sent before and after the flood."""
+    frames = Transforms(SimpleNamespace(subscribe=lambda *_, **__: None), "odom", "base_link", lambda: 100.0)  # type: ignore[arg-type]
+    robot, flood = ((object(),), (object(),)) if own else ((), ())
+    one = lambda parent, child: SimpleNamespace(transforms=[types("jazzy").decode(*encoded(parent, child))])
+    encoded = lambda parent, child: (
+        "geometry_msgs/msg/TransformStamped",
+        types("jazzy").encode("geometry_msgs/msg/TransformStamped", transform(parent, child, 1.0)),
+    )
+    frames.note_base(100.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    frames.take(one("base_link", "mast"), True, *robot)
+    frames.take(one("mast", "camera"), True, *robot)
+    for k in range(3000):
+        frames.take(one("base_link", f"{k}"), True, *flood)
+        if k % 500 == 0:
+            np.testing.assert_allclose(frames.pose("camera", 100.0)[0], [2.0, 0.0, 0.0])
+    frames.take(one("base_link", "late"), True, *robot)
+    np.testing.assert_allclose(frames.pose("camera", 100.0)[0], [2.0, 0.0, 0.0])
+    np.testing.assert_allclose(frames.pose("late", 100.0)[0], [1.0, 0.0, 0.0])
+    assert len(frames._frames) == MAX_FRAMES
 
 
 def test_what_is_old_is_lost(bus: Callable[..., Bus]) -> None:

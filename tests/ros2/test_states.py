@@ -26,7 +26,7 @@ if not MISSING:
     from wbmpc.ros2.clock import BusClock
     from wbmpc.ros2.convert import header
     from wbmpc.ros2.inertial_readings import InertialReadings
-    from wbmpc.ros2.joints import Inertial, JointReader, mean_rate
+    from wbmpc.ros2.joints import Inertial, JointReader, JointSample, Repetition, mean_rate
     from wbmpc.ros2.localization import PoseSource
     from wbmpc.ros2.messages import types
     from wbmpc.ros2.request_queue import RequestQueue
@@ -62,9 +62,8 @@ def test_inertial_readings_belong_to_the_joint_states_of_their_time(pair: Callab
 
     def joints(at: float) -> None:
         kind = "sensor_msgs/msg/JointState"
-        body._take_joints(
-            t.decode(kind, t.encode(kind, {"header": header(at, ""), "name": names, "position": ROBOT.home[3:]}))
-        )
+        moving = ROBOT.home[3:] + 0.1 * at  # joints that stand still while the gyro turns do not count
+        body._take_joints(t.decode(kind, t.encode(kind, {"header": header(at, ""), "name": names, "position": moving})))
 
     def imu(at: float, rate: float) -> None:
         kind = "sensor_msgs/msg/Imu"
@@ -347,3 +346,21 @@ def test_in_lockstep_a_tick_may_be_late_by_what_the_simulator_goes_on_before_its
     """Truth: the limit of the watchdog that the file gives, without and with lockstep."""
     assert SwerveRosSettings(safety=Safety(watchdog=0.05)).held_up == 0.05
     assert SwerveRosSettings(safety=Safety(watchdog=0.05), lockstep=True).held_up == 1.0
+
+
+def test_joint_states_that_repeat_themselves_count_where_the_base_rests() -> None:
+    """A gyro with a bias, and one that turned 5 s ago, say nothing against them; one message that is the same as the one before is held
+    back while the gyro turns. Truth: by hand."""
+    still, moved = {"wheel": np.ones(4)}, {"wheel": np.ones(4) + 1e-4}
+    repetition = Repetition()
+    held = lambda at, turning, groups=still: repetition.goes_on(JointSample(at, groups), turning)
+    assert [held(0.01 * k, 0.1) for k in range(100)] == [False] * 100
+    assert [held(1.01, 0.5), held(1.02, 0.5, moved), held(1.03, -0.5, moved), held(1.04, 0.5)] == [
+        True,
+        False,
+        True,
+        False,
+    ]
+    assert [held(2.0, 0.5), held(2.5, 0.1), held(6.9, 0.1), held(7.1, 0.1)] == [True, True, True, False]
+    assert repetition.lasted(JointSample(7.1, still)) == pytest.approx(7.1 - 1.04)
+    assert not held(0.5, 0.5)  # times went back: another clock

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy import stats
 
+from wbmpc.study import page
+from wbmpc.study import summary as summary_module
 from wbmpc.study.statistics import failure_rate, interval, paired, spread
+from wbmpc.study.summary import Cell, Summary
 
 
 def test_order_statistics_are_values_and_infinity_is_one() -> None:
@@ -42,3 +48,28 @@ def test_a_pair_cancels_what_a_seed_does_to_both() -> None:
 def test_a_failure_loses_against_any_figure_and_equals_another() -> None:
     found = paired(np.array([np.inf, np.inf, 2.0]), np.array([1e9, np.inf, np.inf]))
     assert (found.wins, found.losses, found.difference) == (1, 1, 0.0)
+
+
+@pytest.mark.parametrize("count", [2, 7, 150])
+def test_the_interval_is_scipys(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=count)
+    made = stats.bootstrap(
+        (values,), np.median, n_resamples=2000, batch=100, method="percentile", rng=np.random.default_rng(0)
+    ).bootstrap_distribution
+    assert interval(values) == tuple(np.quantile(made, [0.025, 0.975], method="nearest"))
+
+
+def test_a_page_of_many_metrics_draws_what_it_shows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """And each bootstrap is made once, whatever asks for it. Truth: the limit of plots, one interval for each metric."""
+    names, made, drawn = [f"m{k}" for k in range(200)], [], []
+    figures = {n: np.array([1.0, 2.0, 4.0]) for n in names}
+    cell = Cell("k", "e", "a", "", "", {}, np.arange(3), ("completed",) * 3, figures, ("",) * 3, ("",) * 3)
+    units: dict[str, str] = dict.fromkeys(names, "m")
+    summary = Summary("t", (cell,), units, {}, {"e": tuple(names)}, 3, {}, {})
+    of = summary_module.spread
+    monkeypatch.setattr(summary_module, "spread", lambda *given: made.append(1) or of(*given))
+    monkeypatch.setattr(page, "figure_html", lambda *_, **__: drawn.append(1) or "")
+    text = page.study_page(summary, tmp_path, {"e": {}})
+    summary.to_json()
+    assert len(made) == 200 and len(drawn) == page.MAX_PLOTS
+    assert "The plots of 176 more metrics are left out" in text and text.count("<h3>m199") == 1

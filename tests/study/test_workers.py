@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -115,6 +116,22 @@ def test_a_run_that_kills_its_process_costs_itself_alone(tmp_path: Path) -> None
     rows = Study.load(file, tmp_path / "out").table().to_pylist()
     assert {r["seed"] for r in rows if r["outcome"] == "lost"} == {303}
     assert {r["metric.threads"] for r in rows if r["completed"]} == {1.0}
+
+
+def test_a_worker_that_is_gone_for_good_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask gives up a process that ends while it starts, and a study waited for it without an end. Truth: the task's own row."""
+    monkeypatch.setattr(workers, "GONE", 1.0)
+    monkeypatch.setattr(workers, "_LOOK", 0.1)
+    with workers.pool(1, None) as pool:
+        assert isinstance(pool, workers.Cluster) and pool._own is not None
+        (nanny,) = pool._own.workers.values()
+        pool._client.sync(nanny.close)
+        pool.submit(len, {"key": "one"})
+        found: list[Any] = []
+        waiting = threading.Thread(target=lambda: found.append(pool.next()), daemon=True)
+        waiting.start()
+        waiting.join(60.0)
+        assert found == [({"key": "one"}, 1)]
 
 
 @thorough

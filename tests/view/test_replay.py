@@ -136,6 +136,50 @@ def test_a_gap_of_hours_in_a_film_is_one_pause(run: SimpleNamespace, tmp_path: P
     assert abs(len(drawn) - usual) <= 1 and drawn[-1] > 7100.0
 
 
+@pytest.mark.parametrize(("kind", "labels"), [(".gif", True), (".gif", False), (".webp", True)])
+def test_a_gap_of_hours_in_a_clip_is_one_pause(run: SimpleNamespace, kind: str, labels: bool, tmp_path: Path) -> None:
+    """As many pictures as without the gap, which a GIF can hold ten minutes of."""
+    image = pytest.importorskip("PIL.Image")
+    draw = lambda recording, name: render.render(
+        Film(recording), tmp_path / f"{name}{kind}", (0.0, np.inf), (64, 48), labels=labels
+    )
+    usual = draw(read_recording(run.folder), "usual")
+    recording = read_recording(run.folder)
+    for topic in recording.topics.values():
+        topic.times = [t + 7100.0 * (t > 0.5) for t in topic.times]
+    assert abs(draw(recording, "gap") - usual) <= 1
+    with image.open(tmp_path / f"gap{kind}") as clip:
+        shown = []
+        for k in range(clip.n_frames):
+            clip.seek(k)
+            clip.load()
+            shown.append(clip.info["duration"])
+    assert max(shown) == pytest.approx(600e3, rel=0.01) and sorted(shown)[-2] < 1e3
+
+
+def test_a_film_draws_no_picture_twice(run: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes on at its rate through a gap, with the picture that it has; the time on it goes on too."""
+    pytest.importorskip("PIL.Image")
+    recording, drawn, written = read_recording(run.folder), [], []
+    for topic in recording.topics.values():
+        topic.times = [t + 20.0 * (t > 0.5) for t in topic.times]
+    frame = render.Renderer.frame
+    monkeypatch.setattr(render.Renderer, "frame", lambda *given: drawn.append(1) or frame(*given))
+    monkeypatch.setitem(render._WRITERS, ".mp4", lambda path, pictures, _: (written.extend(pictures), path.touch()))
+    pytest.importorskip("imageio_ffmpeg")
+    count = render.render(Film(recording), tmp_path / "a.mp4", (0.0, np.inf), (640, 64))
+    assert count == len(written) > 500 > 5 * len(drawn)
+    assert len({picture.tobytes() for picture in written}) > 200  # 0.1 s each
+
+
+def test_a_clip_that_would_fill_the_memory_is_one_message(run: SimpleNamespace, tmp_path: Path) -> None:
+    film = Film(read_recording(run.folder))
+    film.times = np.arange(0.0, 7200.0, 0.02)
+    with pytest.raises(InputError, match=r"long\.gif' need 46\.7 GB, at most 2 are taken; valid: --mp4"):
+        render.render(film, tmp_path / "long.gif", (0.0, np.inf), (960, 540))
+    assert not (tmp_path / "long.gif").exists()
+
+
 def test_a_film_may_begin_at_any_time(run: SimpleNamespace, tmp_path: Path) -> None:
     """As a part of a long run, or stamps of a calendar: bar and page begin where the film does, at a time so large that a nanosecond
     more is the same number."""

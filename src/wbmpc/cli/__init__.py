@@ -44,7 +44,7 @@ from wbmpc.cli.terminal import (
     unread_allowed,
 )
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
-from wbmpc.errors import InputError, RunAborted, WbmpcError, printable, unknown_name
+from wbmpc.errors import InputError, RunAborted, WbmpcError, printable, text_of, unknown_name
 from wbmpc.interrupts import act_on_waiting, ended_by_signal, interrupted, terminable
 
 if TYPE_CHECKING:
@@ -277,7 +277,7 @@ def _complain(error: Exception, debug: bool) -> None:
     if isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: cannot be opened or made ({error.strerror})" if error.filename else error.strerror
     else:
-        text = str(error)
+        text = text_of(error)
         if hasattr(error, "format_message"):
             text = f"{error.format_message().rstrip('.')}; see 'wbmpc --help' and 'wbmpc COMMAND --help'"
     typer.echo(f"wbmpc: {printable(' '.join(text.split()))}", err=True)

@@ -89,10 +89,11 @@ def logged(verbose: bool, debug: bool = False) -> Iterator[None]:
 
 
 class _Tolerant:
-    """A stream whose reader may go away (``wbmpc list | head``): what is written then is lost, and nothing else happens."""
+    """A stream whose reader may go away (``wbmpc list | head``): what is written then is lost, and nothing else happens. ``last``: so it is
+    with whatever else is wrong with it."""
 
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
+    def __init__(self, stream: Any, last: bool = False) -> None:
+        self._stream, self._last = stream, last
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -106,11 +107,18 @@ class _Tolerant:
         with self._kept():
             self._stream.flush()
 
+    def close(self) -> None:
+        """It stays open: an experiment of a user may close it, and the command has yet to say what came of it."""
+        self.flush()
+
     @contextmanager
     def _kept(self) -> Iterator[None]:
         try:
             yield
-        except BrokenPipeError:
+        except OSError as error:
+            # where standard error cannot be written, there is no other place to say so
+            if not (isinstance(error, BrokenPipeError) or self._last):
+                raise
             # what the stream still holds, and all that follows, goes nowhere
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
@@ -131,7 +139,7 @@ def open_streams() -> None:
 @contextmanager
 def unread_allowed() -> Iterator[None]:
     """Standard output and error may be pipes that are closed early: no command stops or fails for that."""
-    with redirect_stdout(_Tolerant(sys.stdout)), redirect_stderr(_Tolerant(sys.stderr)):  # type: ignore[type-var]
+    with redirect_stdout(_Tolerant(sys.stdout)), redirect_stderr(_Tolerant(sys.stderr, last=True)):  # type: ignore[type-var]
         yield
         sys.stdout.flush()
 

@@ -25,9 +25,9 @@ def to_json(result: RunResult, files: dict[str, str]) -> dict[str, Any]:
     """The object that ``--json`` prints. A figure that is not finite is null."""
     return {
         "experiment": result.experiment,
-        "seed": result.seed,
+        "seed": plain(result.seed),
         "outcome": result.outcome,
-        "completed": result.completed,
+        "completed": plain(result.completed),
         "reason": result.reason,
         "metrics": {k: {"value": plain(m.value), "unit": m.unit} for k, m in result.metrics.items()},
         "mpc": None if result.mpc is None else _mpc(result.mpc),
@@ -37,13 +37,10 @@ def to_json(result: RunResult, files: dict[str, str]) -> dict[str, Any]:
 
 def _mpc(mpc: MpcStatistics) -> dict[str, Any]:
     return {
-        "rate_hz": mpc.rate_hz,
+        "rate_hz": plain(mpc.rate_hz),
         "solve_ms": {k: plain(round(v, 4)) for k, v in mpc.solve_ms.items()},
-        "deadline_misses": mpc.deadline_misses,
-        "solves": mpc.solves,
-        "failures": mpc.failures,
-        "no_step": mpc.no_step,
-        "failed_share": round(mpc.failed_share, 6),
+        **{key: plain(getattr(mpc, key)) for key in ("deadline_misses", "solves", "failures", "no_step")},
+        "failed_share": plain(round(mpc.failed_share, 6)),
     }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.checks import unit_quaternions
-from wbmpc.errors import InputError, NotFinite, printable
+from wbmpc.errors import InputError, NotFinite, described, printable
 
 Array = np.ndarray
 #: Of a message about something from the bus.
@@ -24,7 +24,7 @@ _FIRST, _LAST = -(2**31), 2**31 - 1
 
 def error_message(error: Exception) -> str:
     """What a goal or a message was rejected for: our own message, or what went wrong by its kind."""
-    return one_line(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+    return one_line(str(error) if isinstance(error, InputError) else described(error))
 
 
 def one_line(message: str) -> str:

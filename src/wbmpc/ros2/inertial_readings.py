@@ -45,6 +45,12 @@ class InertialReadings:
         """Whether there has been one."""
         return self._last is not None
 
+    @property
+    def turning(self) -> float:
+        """Yaw rate [rad/s] of the newest reading; 0 before the first and where none has come lately."""
+        with self._lock:
+            return float(self._last[0].gyro[2]) if self._last is not None and self.silent() < GAP else 0.0
+
     def put(self, stamp: float, reading: Inertial) -> None:
         """One of ``stamp`` [s] has come."""
         simulated = isinstance(self._clock, BusClock)

@@ -28,6 +28,8 @@ _AGREE = 0.3
 LATE, LASTS = 0.03, 0.1
 #: Drives with commands above this [rad/s or m/s] turn some encoder within this time [s].
 _MOVES, _STARTS = 0.2, 0.3
+#: A gyro that says more than this [rad/s] turns, whatever its bias; one that has said less for so long [s] rests.
+_TURNS, _RESTS = 0.2, 5.0
 
 
 class Series(NamedTuple):
@@ -107,6 +109,15 @@ class JointReader:
         """The next message may be anywhere and at any time."""
         self._last = None
 
+    @property
+    def last(self) -> tuple[float, np.ndarray, float] | None:
+        """The message that the next one is compared with."""
+        return self._last
+
+    def take_back(self, last: tuple[float, np.ndarray, float] | None) -> None:
+        """The newest message does not count: the next one is compared with the ``last`` before it."""
+        self._last = last
+
     def _places(self, names: list[str]) -> np.ndarray:
         missing = [n for n in self.names if n not in names]
         extra = [n for n in names if n not in self.names and n not in self.ignored]
@@ -162,6 +173,32 @@ class Standstill:
             self._since = sample.stamp
         self._values = values
         return sample.stamp - self._since > _STARTS
+
+
+class Repetition:
+    """Joint states that repeat themselves, under new stamps, while the gyro turns: they do not say that the base stands. What comes after
+    them says where the wheels went meanwhile.
+
+    A base that has come to rest since is believed after :data:`_RESTS`: its wheels may have been blocked while others turned it.
+    """
+
+    def __init__(self) -> None:
+        self._values: np.ndarray | None = None
+        self._since, self._turned = np.inf, -np.inf  # stamps [s]: of the first one that repeats, and of the last turn
+
+    def goes_on(self, sample: JointSample, turning: float) -> bool:
+        """Whether a ``sample`` does not count; ``turning`` [rad/s]: of the newest reading of the gyro."""
+        values = np.concatenate([*sample.groups.values()])
+        if self._values is None or not np.array_equal(values, self._values) or sample.stamp < self._since:
+            self._values, self._since, self._turned = values, sample.stamp, -np.inf
+            return False
+        if abs(turning) > _TURNS:
+            self._turned = sample.stamp
+        return sample.stamp - self._turned < _RESTS
+
+    def lasted(self, sample: JointSample) -> float:
+        """Since when [s] the states of a ``sample`` are what they are."""
+        return sample.stamp - self._since
 
 
 class Lateness:

@@ -20,7 +20,7 @@ from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.inertial_readings import InertialReadings
-from wbmpc.ros2.joints import OVERTAKEN, Inertial, JointReader, JointSample, Series, Standstill, read_imu
+from wbmpc.ros2.joints import OVERTAKEN, Inertial, JointReader, JointSample, Repetition, Series, Standstill, read_imu
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -59,6 +59,7 @@ class BusRobot:
         self._imu_source = OneSource(topics.imu, self._inertial.forget, ambiguous)
         self._joints: tuple[JointSample, float] | None = None
         self._series, self._replaced, self._standstill = Series(), False, Standstill()
+        self._repetition = Repetition()
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._behind = np.inf  # least time [s] from a stamp to its arrival
         self.lateness = self._reader.lateness
@@ -83,7 +84,7 @@ class BusRobot:
             listen(topics.base_odom, "nav_msgs/msg/Odometry", partial(self._take_way, self._way))
 
     def _take_joints(self, message: Any, source: Source | None = None) -> None:
-        ours = self._reader.concerns(message)
+        ours, last = self._reader.concerns(message), self._reader.last
         if not (self._joint_source.takes(source) if ours else self._joint_source.follows(source)):
             return
         try:
@@ -92,6 +93,9 @@ class BusRobot:
             self._note("joints", error_message(error))
             if not self._armed:
                 self._reader.reset()
+            return
+        if self._repeats(sample):
+            self._reader.take_back(last)
             return
         self._good("joints")
         previous, arrival = self._joints, time.perf_counter()
@@ -111,6 +115,15 @@ class BusRobot:
             self._behind = min(arrival - sample.stamp, self._behind + grown)
             self._joints = sample, arrival
             self._waiting.append(self._joints)
+
+    def _repeats(self, sample: JointSample) -> bool:
+        """Whether joint states say nothing of a base that turns. Who balances watches the encoders of every joint."""
+        if self.adapter.must_keep_running or not self._repetition.goes_on(sample, self._inertial.turning):
+            return False
+        if self._repetition.lasted(sample) > self.settings.safety.watchdog:
+            topic = self.settings.topics.joint_states
+            self._note("joints", f"the joint states on {topic} stand still, under new stamps, while the base turns")
+        return True
 
     def _take_imu(self, message: Any, source: Source | None = None) -> None:
         if not self._imu_source.takes(source):

@@ -8,6 +8,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import SMALL, Node, Qos
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.obstacle_messages import read_transform
+from wbmpc.ros2.sources import Source
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
@@ -33,11 +35,12 @@ MOVING, FIXED = Qos(reliable=False, depth=100), Qos(latched=True, depth=100)
 
 @dataclass
 class _Frame:
-    """``seen``: stamp [s], pose in the parent; ``at``: when the last one came [s]; of a fixed one infinite."""
+    """``seen``: stamp [s], pose in the parent; ``at``: when the last one came [s]; of a fixed one infinite; ``source``: its publisher."""
 
     parent: str
     seen: deque[tuple[float, Pose]]
     at: float
+    source: Source | None = None
 
     def pose(self, stamp: float) -> Pose:
         """The one whose stamp is nearest."""
@@ -54,19 +57,21 @@ class Transforms:
     def __init__(self, node: Node, world: str, base: str, now: Callable[[], float]) -> None:
         self._world, self._base, self._now = world, base, now
         self._frames: dict[str, _Frame] = {}
+        self._owned: dict[Source | None, dict[str, None]] = {}  # names by publisher, in the order of their last use
         self._forgot = -np.inf  # when old ones last were [s]
         self._lock, self._limit = threading.Lock(), RateLimit()
         # not in the thread that brings joint states: a message of many frames takes longer than a period of these
-        node.subscribe(TF, KIND, lambda m: self.take(m, False), MOVING, deferred=True, largest=SMALL)
-        node.subscribe("/tf_static", KIND, lambda m: self.take(m, True), FIXED, deferred=True, largest=SMALL)
+        listen = partial(node.subscribe, kind=KIND, deferred=True, largest=SMALL, sourced=True)
+        listen(TF, callback=lambda m, source=None: self.take(m, False, source), qos=MOVING)
+        listen("/tf_static", callback=lambda m, source=None: self.take(m, True, source), qos=FIXED)
 
-    def take(self, message: Any, fixed: bool) -> None:
-        """A tf2_msgs/TFMessage; transforms that cannot be meant are left out."""
+    def take(self, message: Any, fixed: bool, source: Source | None = None) -> None:
+        """A tf2_msgs/TFMessage of a publisher; transforms that cannot be meant are left out."""
         for one in message.transforms:
             try:
                 parent, child, *pose = read_transform(one)
                 if child != self._base:
-                    self._put(parent, child, seconds(one.header.stamp), (pose[0], pose[1]), fixed)
+                    self._put(parent, child, seconds(one.header.stamp), (pose[0], pose[1]), fixed, source)
             except InputError as error:
                 self._limit.log(_LOG, logging.ERROR, "tf", f"/tf: {error_message(error)}")
 
@@ -74,16 +79,21 @@ class Transforms:
         """The base's pose in the world at ``stamp`` [s]."""
         self._put(self._world, self._base, stamp, (position, orientation), False)
 
-    def _put(self, parent: str, child: str, stamp: float, pose: Pose, fixed: bool) -> None:
+    def _put(
+        self, parent: str, child: str, stamp: float, pose: Pose, fixed: bool, source: Source | None = None
+    ) -> None:
         with self._lock:
             if child not in self._frames and child != self._base and len(self._frames) >= MAX_FRAMES:
                 self._forget_old()
                 if len(self._frames) >= MAX_FRAMES:
-                    raise InputError(f"there are more than {MAX_FRAMES} frames")
+                    self._make_room()
             frame = self._frames.get(child)
             if fixed or frame is None or frame.parent != parent or stamp < frame.seen[-1][0]:  # or time went back
-                frame = self._frames[child] = _Frame(parent, deque(maxlen=KEPT), 0.0)
+                if frame is not None:
+                    self._own(child, frame.source, False)
+                frame = self._frames[child] = _Frame(parent, deque(maxlen=KEPT), 0.0, source)
             frame.seen.append((stamp, pose))
+            self._own(child, frame.source)
             frame.at = np.inf if fixed else self._now()
 
     def _forget_old(self) -> None:
@@ -91,7 +101,25 @@ class Transforms:
         now = self._now()
         if abs(now - self._forgot) > LASTS:
             self._forgot = now
-            self._frames = {n: f for n, f in self._frames.items() if now - f.at <= LASTS or n == self._base}
+            for name in [n for n, f in self._frames.items() if now - f.at > LASTS and n != self._base]:
+                self._own(name, self._frames.pop(name).source, False)
+
+    def _own(self, name: str, source: Source | None, owned: bool = True) -> None:
+        """A frame is its publisher's, and the one that is of use, or no longer."""
+        names = self._owned.setdefault(source, {})
+        names.pop(name, None)
+        if owned and name != self._base:
+            names[name] = None
+        if not names:
+            del self._owned[source]
+
+    def _make_room(self) -> None:
+        """The publisher that has most of the frames loses the one that was neither sent nor asked for for longest: a node that makes up
+        names takes no place of others', and fixed frames never grow old."""
+        most = max(self._owned.values(), key=len)
+        del self._frames[next(iter(most))], most[next(iter(most))]
+        text = f"/tf: there are more than {MAX_FRAMES} frames; the oldest of the publisher that has most are forgotten"
+        self._limit.log(_LOG, logging.ERROR, "room", text)
 
     def pose(self, name: str, stamp: float) -> Pose:
         """Position (3) [m] and orientation (4) of a frame in the world at ``stamp`` [s]. Raises :class:`InputError` where nothing leads
@@ -123,6 +151,7 @@ class Transforms:
         while (frame := self._frames.get(at)) is not None and frame.parent not in found and len(found) < MAX_DEPTH:
             if self._now() - frame.at > LASTS:
                 raise InputError(f"the transform from '{frame.parent}' to '{at}' has not come for {LASTS:g} s")
+            self._own(at, frame.source)
             found[frame.parent] = _compose(frame.pose(stamp), found[at])
             at = frame.parent
         return found

@@ -6,6 +6,7 @@ import logging
 import threading
 from typing import Any, Protocol, TypeVar
 
+from wbmpc.errors import described
 from wbmpc.runtime.clock import Clock
 from wbmpc.runtime.safety import RealTimeSettings
 
@@ -59,7 +60,7 @@ class StopControl:
         _LOG.error("%s", self.state, exc_info=self.error)
 
     def _raised(self, error: BaseException) -> None:
-        self.halt(f"the controller raised {type(error).__name__}: {error}", error)
+        self.halt(f"the controller raised {described(error)}", error)
 
     def _stop_robot(self) -> None:
         try:
@@ -68,7 +69,7 @@ class StopControl:
             if self._stop_error is not None:
                 return
             self._stop_error = error
-            message = f"the robot's stop() raised {type(error).__name__}: {error}"
+            message = f"the robot's stop() raised {described(error)}"
             if self._stopped.is_set():
                 self.state += f"; {message}"
                 _LOG.error("%s", message, exc_info=error)

@@ -12,6 +12,7 @@ from multiprocessing.connection import wait
 
 import numpy as np
 
+from wbmpc.errors import described
 from wbmpc.mpc.mpc import MPC
 from wbmpc.runtime.clock import Clock, Loop, Ticker, WallClock, follow
 from wbmpc.runtime.shared_memory import Board, Mailbox, Message
@@ -169,7 +170,7 @@ class Worker:
 
 def report(board: Board, error: BaseException) -> None:
     """Put on the board that and why the worker has ended."""
-    board.text = f"{type(error).__name__}: {error}"
+    board.text = described(error)
     board["failed"] = 1.0
 
 

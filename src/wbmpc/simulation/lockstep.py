@@ -26,6 +26,7 @@ from wbmpc.errors import (
     RunAborted,
     SensorFailure,
     WayDeclined,
+    described,
 )
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -344,7 +345,7 @@ def _tick(
         if i == 0:
             raise
         _LOG.debug("what was raised at %.2f s:", t, exc_info=error)  # the traceback, for who looks for the mistake
-        return Ending(f"stopped at {t:.2f} s: {type(error).__name__}: {error}")
+        return Ending(f"stopped at {t:.2f} s: {described(error)}")
     if plant.diverged:
         return Ending(f"the simulation diverged at {t:.2f} s: positions are not finite")
     return Ending(f"the robot fell at {t:.2f} s{_because(plant, mpc)}", fell=True) if plant.fell else _GOES_ON

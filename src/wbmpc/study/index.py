@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, described
 from wbmpc.json_file import load_json
 from wbmpc.run_index import folders
 from wbmpc.study.files import ABOUT, DATABASE, JOURNAL, PAGE, PARTS, ROWS, STATISTICS, TRIALS
@@ -86,9 +86,7 @@ def _read(directory: Path, read: Any) -> StudyEntry:
     except (InputError, OSError) as error:
         return StudyEntry(directory, **about, note=str(error))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        return StudyEntry(
-            directory, **about, note=f"{directory}: its files are no study's ({type(error).__name__}: {error})"
-        )
+        return StudyEntry(directory, **about, note=f"{directory}: its files are no study's ({described(error)})")
 
 
 def _time(path: Path) -> datetime:

@@ -53,14 +53,17 @@ def _experiment(summary: Summary, name: str, beside: Path, definitions: Definiti
     metrics = summary.shown[name]
     heads = {m: named(m, definition_of(m, definitions)[1]) for m in metrics}
     tables = "".join(f"<h3>{heads[m]}</h3>{_table(summary, cells, m)}" for m in metrics)
-    plots = [plot for m in metrics for plot in _plots(summary, cells, m)]
+    plots: list[tuple[str, str, bool]] = []
+    left = list(metrics)
+    while left and len(plots) < MAX_PLOTS:  # a plot takes longer than a table
+        plots += _plots(summary, cells, left.pop(0))
     cards = "".join(
         f'<div class="card{" wide" if wide else ""}"><h3>{html.escape(title)}</h3>{figure}</div>'
         for title, figure, wide in plots[:MAX_PLOTS]
     )
     more = (
-        f"<p>{len(plots) - MAX_PLOTS} more plots are left out: 'metrics' in the study's file chooses.</p>"
-        if len(plots) > MAX_PLOTS
+        f"<p>The plots of {len(left)} more metrics are left out: 'metrics' in the study's file chooses.</p>"
+        if left
         else ""
     )
     return f'<h2>{html.escape(name)}</h2>{tables}<div class="plots">{cards}</div>{more}{_failures(cells, beside)}'

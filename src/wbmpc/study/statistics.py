@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import stats
 
 #: Share of the intervals, and resamples of a bootstrap.
 CONFIDENCE, RESAMPLES = 0.95, 2000
+#: Values that are drawn at a time.
+_PART = 200_000
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,14 @@ def _median(values: np.ndarray, axis: int = -1) -> np.ndarray:
         return np.asarray(np.median(values, axis=axis))
 
 
+@lru_cache(maxsize=8)
+def _drawn(count: int) -> tuple[np.ndarray, ...]:
+    """Which of ``count`` values every resample of a bootstrap has, in parts (m, count) of little memory: the same for every figure of a study."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, count, (RESAMPLES, count))
+    return tuple(np.array_split(drawn, max(RESAMPLES * count // _PART, 1)))
+
+
 def interval(values: np.ndarray, statistic: Callable[..., np.ndarray] = _median) -> tuple[float, float]:
     """The percentile bootstrap's interval of a statistic of ``values`` (n,), the same for the same values; nan of fewer than two."""
     if values.size < 2:
@@ -76,10 +87,7 @@ def interval(values: np.ndarray, statistic: Callable[..., np.ndarray] = _median)
     if np.all(values == values[0]):
         return float(values[0]), float(values[0])
     with np.errstate(invalid="ignore"):
-        made = stats.bootstrap(
-            (values,), statistic, n_resamples=RESAMPLES, batch=100, vectorized=True, method="percentile",
-            rng=np.random.default_rng(0),
-        ).bootstrap_distribution  # fmt: skip
+        made = np.concatenate([statistic(values[drawn], axis=-1) for drawn in _drawn(values.size)])
     tail = 0.5 * (1.0 - CONFIDENCE)
     return quantile(made, tail), quantile(made, 1.0 - tail)
 

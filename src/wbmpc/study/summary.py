@@ -71,6 +71,8 @@ class Summary:
     sources: Mapping[str, tuple[str, ...]]
     compare_with: str = ""
     larger_is_better: tuple[str, ...] = ()
+    _spreads: dict[tuple[str, str], Spread] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _compared: dict[tuple[str, str], Paired | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def finished(self) -> int:
@@ -85,6 +87,12 @@ class Summary:
         return metric not in self.larger_is_better and (target["least"] is None or target["goal"] is not None)
 
     def spread(self, cell: Cell, metric: str) -> Spread:
+        """Computed once: tables, pages and plots ask for it again."""
+        if (cell.key, metric) not in self._spreads:
+            self._spreads[cell.key, metric] = self._spread(cell, metric)
+        return self._spreads[cell.key, metric]
+
+    def _spread(self, cell: Cell, metric: str) -> Spread:
         bad = self.large_is_bad(cell, metric)
         return spread(cell.judged(metric, bad), bad)
 
@@ -107,6 +115,11 @@ class Summary:
 
     def comparison(self, cell: Cell, metric: str) -> Paired | None:
         """With its reference on the seeds that both have; None without a reference, or such seeds."""
+        if (cell.key, metric) not in self._compared:
+            self._compared[cell.key, metric] = self._comparison(cell, metric)
+        return self._compared[cell.key, metric]
+
+    def _comparison(self, cell: Cell, metric: str) -> Paired | None:
         other = self.reference(cell)
         if other is None:
             return None

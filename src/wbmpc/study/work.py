@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc import __version__
-from wbmpc.errors import InputError, NotWritten, RunAborted
+from wbmpc.errors import InputError, NotWritten, RunAborted, described
 from wbmpc.recording.recorder import Recorder
 from wbmpc.report import RECORDING, about_run, commit, outcome, write_run
 from wbmpc.result import RunResult
@@ -56,7 +56,7 @@ def execute(task: Mapping[str, Any]) -> dict[str, Any]:
     except RunAborted as error:
         found = {"outcome": "gave_up", "reason": str(error)}
     except Exception as error:
-        found = {"outcome": ERROR, "reason": f"{type(error).__name__}: {error}"}
+        found = {"outcome": ERROR, "reason": described(error)}
     unwanted = "unwritten" in found or (found["outcome"] == "completed" and task["keep"] == "failed")
     if directory is not None and unwanted:
         shutil.rmtree(directory, ignore_errors=True)

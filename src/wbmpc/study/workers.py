@@ -29,6 +29,9 @@ _NO_PAGES = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
 RETRIES = 2
 #: How long [s] a scheduler may be silent, at first and while runs go on.
 SILENCE = 30.0
+#: How often [s] a cluster of this machine is looked at while its workers work, and how long [s] one of them may be gone before another takes
+#: its place: a process that ends while it starts is not started again by Dask.
+_LOOK, GONE = 0.5, 30.0
 _THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
@@ -60,10 +63,11 @@ class Here:
 class Cluster:
     """A pool of Dask's workers."""
 
-    def __init__(self, client: Client, address: str = "") -> None:
+    def __init__(self, client: Client, address: str = "", own: LocalCluster | None = None) -> None:
+        """``own``: the cluster of this machine whose workers they are."""
         from distributed import as_completed
 
-        self._client, self._address = client, address
+        self._client, self._address, self._own = client, address, own
         self._done = as_completed(loop=client.loop)
         self._tasks: dict[str, Task] = {}
         self._threads, self._looked = 1, -float("inf")
@@ -81,6 +85,7 @@ class Cluster:
 
     def next(self) -> tuple[Task, Row]:
         while True:
+            self._wait()
             future = next(self._done)
             if future.status == "finished":
                 row: Row = future.result()
@@ -93,6 +98,16 @@ class Cluster:
                     f"the scheduler {self._address} is gone; what is finished is kept, the same command continues"
                 )
             self._done.add(future)  # its result was lost with its worker: another one does it again
+
+    def _wait(self) -> None:
+        """Until something is done; workers of this machine that are gone for good are replaced meanwhile."""
+        looked = time.monotonic()
+        while self._own is not None and self._client.status == "running" and not self._done.has_ready():
+            time.sleep(0.02)
+            if time.monotonic() - looked > _LOOK:
+                looked = time.monotonic()
+                if len(self._own.workers) < len(self._own.worker_spec):
+                    self._own.scale(len(self._own.worker_spec))
 
 
 class Later:
@@ -145,6 +160,7 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     dask.config.set({
         "distributed.scheduler.allowed-failures": RETRIES, "distributed.comm.timeouts.connect": SILENCE,
+        "distributed.deploy.lost-worker-timeout": GONE,
         "distributed.scheduler.http.routes": [],  # it has a server for browsers whatever it is asked for: that shows nothing
     })  # fmt: skip
     if scheduler is not None:
@@ -168,7 +184,7 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
     with _closing(client, cluster):
         if interrupted():
             raise KeyboardInterrupt
-        yield Cluster(client)
+        yield Cluster(client, own=cluster)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from wbmpc.errors import described
 from wbmpc.runtime.shared_memory import Board, Mailbox
 from wbmpc.simulation.scene import Scene
 from wbmpc.view.access import Access
@@ -38,7 +39,7 @@ def serve(
         draw = None if drawer is None else drawer()
         stage, panel = _open(Scene.of_plain(scene), controls, requests, access, port)
     except Exception as error:
-        board.text = f"{type(error).__name__}: {error}"
+        board.text = described(error)
         return
     pictures, rejected = 0, 0.0
     board["port"], board["ready"] = stage.server.get_port(), 1.0

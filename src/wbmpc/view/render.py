@@ -29,6 +29,10 @@ RATES = {".mp4": 25.0, ".gif": 12.5, ".webp": 12.5}
 #: A film has too many pictures for smooth edges, which take half of the time: its speed hides them.
 _ROUGH = (".mp4",)
 GIF_COLORS = 64
+#: Bytes of a picture's pixel in clips that are put together in memory, and of all pictures of one at most.
+HELD, LARGEST = {".gif": 1, ".webp": 3}, 2e9
+#: What a GIF can hold of the time [ms] that a picture stands.
+LONGEST_PAUSE = 600_000
 #: Speeds of a clip against the run.
 SPEEDS = (0.01, 1000.0)
 #: Of 100: edges stay clear, and a clip is smaller than a GIF.
@@ -72,6 +76,10 @@ def render(
         if kind == ".png"
         else start + np.arange(int((end - start) * RATES[kind] / speed + 1e-6) + 1) * speed / RATES[kind]
     )
+    pauses: list[int] = []
+    if kind in HELD:
+        moments, pauses = _without_repetitions(film, moments, kind, speed)
+        _check_memory(path, len(moments) * size[0] * size[1] * HELD[kind])
     pictures = _pictures(film, moments, size, labels, kind)
     first = next(pictures)  # whether there are graphics at all shows before a file is begun
     existed = path.exists()
@@ -79,8 +87,25 @@ def render(
     if not existed:
         path.unlink()
     with whole_file(path) as partial, closing(pictures):
-        _WRITERS[kind](partial, chain([first], pictures))
+        _WRITERS[kind](partial, chain([first], pictures), pauses)
     return len(moments)
+
+
+def _without_repetitions(film: Film, moments: np.ndarray, kind: str, speed: float) -> tuple[np.ndarray, list[int]]:
+    """Moments [s] of a clip whose pictures differ, and for how long [ms] each is shown: where nothing was recorded, one stands still."""
+    shown = np.searchsorted(film.times, moments, side="right")
+    kept = moments[np.flatnonzero(np.diff(shown, prepend=-1))]
+    lengths = np.diff(kept, append=moments[-1] + speed / RATES[kind]) / speed
+    return kept, [min(round(1e3 * length), LONGEST_PAUSE) for length in lengths]
+
+
+def _check_memory(path: Path, needed: int) -> None:
+    """Raise :class:`InputError` for a clip of too many pictures: its writer has all of them at once."""
+    if needed > LARGEST:
+        raise InputError(
+            f"render: the pictures of '{path}' need {needed / 1e9:.1f} GB, at most {LARGEST / 1e9:.0f} are taken; valid: --mp4, a smaller "
+            "picture, a part of the run (--start, --end), a faster clip (--speed)"
+        )
 
 
 def _pictures(
@@ -97,25 +122,24 @@ def _pictures(
     camera = overview([film.picture(t)["poses"] for t in np.linspace(moments[0], moments[-1], _LOOKS)], film.scene)
     drawn = Labels(size, film.recording.title) if labels else None
     with renderer:
-        for t in moments:
-            s = film.picture(float(t))
-            scene_model.place(s["poses"])
-            lines = {
-                name: (color, s[name]) for name, color in LINES.items() if np.isfinite(s[name]).all(axis=1).sum() > 1
-            }
-            picture = renderer.frame(camera, list(lines.values()))
-            yield (
-                picture if drawn is None else drawn.on(picture, float(t), {n: color for n, (color, _) in lines.items()})
-            )
+        previous = -1
+        for t, shown in zip(moments, np.searchsorted(film.times, moments, side="right"), strict=True):
+            if shown != previous:  # a film goes on at its rate where nothing was recorded
+                s, previous = film.picture(float(t)), shown
+                scene_model.place(s["poses"])
+                lines = {n: (color, s[n]) for n, color in LINES.items() if np.isfinite(s[n]).all(axis=1).sum() > 1}
+                picture = renderer.frame(camera, list(lines.values()))
+            colors = {n: color for n, (color, _) in lines.items()}
+            yield picture.copy() if drawn is None else drawn.on(picture.copy(), float(t), colors)
 
 
-def _write_png(path: Path, pictures: Iterator[np.ndarray]) -> None:
+def _write_png(path: Path, pictures: Iterator[np.ndarray], pauses: list[int]) -> None:
     from PIL import Image
 
     Image.fromarray(next(pictures)).save(path)
 
 
-def _write_mp4(path: Path, pictures: Iterator[np.ndarray]) -> None:
+def _write_mp4(path: Path, pictures: Iterator[np.ndarray], pauses: list[int]) -> None:
     """The next pictures are drawn while the encoder's process has the last ones. The library does not check how it ended: pictures are
     counted in what it left."""
     from imageio_ffmpeg import count_frames_and_secs, write_frames
@@ -140,22 +164,20 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray]) -> None:
         raise OSError(f"{count} of {written} pictures are in it; the disk may be full")
 
 
-def _write_gif(path: Path, pictures: Iterator[np.ndarray]) -> None:
+def _write_gif(path: Path, pictures: Iterator[np.ndarray], pauses: list[int]) -> None:
     """Few colors and no dither: a third of the size, and surfaces do not flicker."""
     from PIL import Image
 
     frames = [Image.fromarray(p).quantize(GIF_COLORS, dither=Image.Dither.NONE) for p in pictures]
-    duration = round(1000.0 / RATES[".gif"])
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=True)
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=pauses, loop=0, optimize=True)
 
 
-def _write_webp(path: Path, pictures: Iterator[np.ndarray]) -> None:
+def _write_webp(path: Path, pictures: Iterator[np.ndarray], pauses: list[int]) -> None:
     from PIL import Image
 
     frames = [Image.fromarray(p) for p in pictures]
-    duration = round(1000.0 / RATES[".webp"])
     options: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 2}
-    frames[0].save(path, "WEBP", save_all=True, append_images=frames[1:], duration=duration, loop=0, **options)
+    frames[0].save(path, "WEBP", save_all=True, append_images=frames[1:], duration=pauses, loop=0, **options)
 
 
 _WRITERS = {".png": _write_png, ".gif": _write_gif, ".webp": _write_webp, ".mp4": _write_mp4}
