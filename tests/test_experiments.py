@@ -249,7 +249,7 @@ def test_a_file_is_an_experiment(
         ),
         (
             OWN.replace("return RunResult", "RunResult"),
-            "mine.py: its run: a wbmpc.result.RunResult is needed, got NoneType",
+            "mine.py: the result of its run: RunResult is needed, got NoneType",
         ),
     ],
 )

@@ -55,7 +55,7 @@ def draw(path: Path) -> None:
     from wbmpc.view.render import _WRITERS
 
     with whole_file(path) as partial:
-        _WRITERS[path.suffix](partial, (RNG.integers(0, 256, (64, 64, 3), np.uint8) for _ in range(30)))
+        _WRITERS[path.suffix](partial, (RNG.integers(0, 256, (64, 64, 3), np.uint8) for _ in range(30)), [50] * 30)
 
 
 WRITERS: dict[str, Callable[[Path], None]] = {

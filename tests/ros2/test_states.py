@@ -147,7 +147,7 @@ def test_what_came_before_time_went_back_is_old() -> None:
     """A simulator that is restarted begins at 0, as does a recording that is played again: a wrench, a pose, a transform and a stop
     of before are not of the future. Truth: the limits of the settings."""
     clock, takes = BusClock(), {}
-    subscribe = lambda topic, kind, take, *_, **__: takes.setdefault(topic, take) and (lambda: None)
+    subscribe = lambda topic, kind, callback, *_, **__: takes.setdefault(topic, callback) and (lambda: None)
     node: Any = SimpleNamespace(subscribe=subscribe, publishers=lambda topic: [])
     settings = settings_of(ROBOT)(topics={"pose": "/pose"})
     planner: Any = SimpleNamespace(robot=ROBOT)

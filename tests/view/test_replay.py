@@ -484,5 +484,5 @@ def test_a_film_is_encoded_while_it_is_drawn(run: SimpleNamespace, tmp_path: Pat
         raise InputError("no frame")
 
     with pytest.raises(InputError, match="no frame"):
-        render._write_mp4(tmp_path / "a.mp4", drawn())
+        render._write_mp4(tmp_path / "a.mp4", drawn(), [])
     assert len(made) == 40

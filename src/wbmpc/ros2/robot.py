@@ -117,8 +117,10 @@ class BusRobot:
             self._waiting.append(self._joints)
 
     def _repeats(self, sample: JointSample) -> bool:
-        """Whether joint states say nothing of a base that turns. Who balances watches the encoders of every joint."""
-        if self.adapter.must_keep_running or not self._repetition.goes_on(sample, self._inertial.turning):
+        """Whether joint states say nothing of a base that turns by them. Who balances watches the encoders of every joint."""
+        if self.adapter.must_keep_running or self._way is not None:
+            return False
+        if not self._repetition.goes_on(sample, self._inertial.turning):
             return False
         if self._repetition.lasted(sample) > self.settings.safety.watchdog:
             topic = self.settings.topics.joint_states
