@@ -142,3 +142,12 @@ def test_the_experiment_has_both_models() -> None:
     assert SwerveFastSettings().mpc == TaskMpcSettings(model="dynamic", horizon=2.0)
     with pytest.raises(InputError, match="kinematic robots do not tip"):
         build(SwerveFastSettings(physics="kinematic"), 0)
+
+
+def test_an_arm_that_is_a_counterweight_keeps_off_the_floor() -> None:
+    """Plans that trust little friction swing the load down to the floor, which ended the run. Truth: MuJoCo's contacts."""
+    experiment = load("swerve-fast")
+    changes = ["course=s-curve", "plant.friction=0.4", "stability.friction=0.2", "calibration=none", "after=3"]
+    result = experiment.run(configure(experiment.config_type, changes, "swerve-fast"), 1)
+    assert result.outcome == "completed" and result.metrics["contacts_unwanted"].value == 0.0
+    assert result.metrics["path_error_max"].value < 0.03 and result.metrics["wheel_slip_max"].value < 0.1

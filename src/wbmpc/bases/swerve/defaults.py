@@ -10,7 +10,7 @@ import numpy as np
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.default_problem import ACCELERATION_SLACK, keep_apart, keep_clear, keep_upright, make_mpc
+from wbmpc.default_problem import ACCELERATION_SLACK, keep_apart, keep_clear, keep_off_floor, keep_upright, make_mpc
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
 from wbmpc.mpc.mpc import MPC
@@ -131,7 +131,9 @@ def swerve_mpc(
     """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
     the frame that follows a path, see :func:`wbmpc.path_problem`; ``self_clearance``: whether it keeps apart the pairs that the robot file lists."""
     ocp = swerve_problem(robot, settings, cost, ROLLING_SOFTNESS, accelerations=True, allow_side_slip=allow_side_slip)
-    ocp = keep_upright(keep_apart(ocp, robot) if self_clearance else ocp, robot, stability)
+    ocp = keep_apart(ocp, robot) if self_clearance else ocp
+    if stability is not None:  # arms that are counterweights swing down to the floor
+        ocp = keep_upright(keep_off_floor(ocp, robot), robot, stability)
     ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)
     return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)
 
