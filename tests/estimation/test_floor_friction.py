@@ -106,7 +106,7 @@ def test_plans_that_know_no_friction_or_robots_that_feel_no_slip_are_an_error() 
             experiment.run(configure(experiment.config_type, [*changes, *known], "hold"), 0)
 
 
-def test_on_ice_a_robot_keeps_to_its_path_only_if_it_feels_that_it_slips() -> None:
+def test_on_a_slippery_floor_a_robot_slides_less_if_it_feels_that_it_slips() -> None:
     experiment, found = load("swerve-fast"), {}
     for estimate in ("false", "true"):
         changes = ["course=s-curve", "plant.friction=0.3", "stability.friction=0.6", "calibration=none"]

@@ -25,7 +25,7 @@ _WHO = "floor friction"
 MEAN_TIME, SLIDES, SLIDES_FOR, OVER_AFTER = 0.05, 0.1, 0.02, 0.1
 #: Time [s] in which the most that was felt is forgotten, of which a slip begins.
 PEAK_TIME = 0.2
-#: Of what is felt in a slip this share is planned with; least coefficient, that of ice; time [s] after a slip in which a share 1 - 1/e of
+#: Of what is felt in a slip this share is planned with; least coefficient; time [s] after a slip in which a share 1 - 1/e of
 #: what was believed before comes back, for floors differ.
 KEPT, LEAST, FORGETS = 0.7, 0.05, 30.0
 
