@@ -12,6 +12,7 @@ from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.leg_folding import LegFolding
 from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.ros import BusSwerveController, SwerveRosAdapter
@@ -181,6 +182,13 @@ def test_the_controller_closes_the_brake_and_informs_the_planner() -> None:
     assert planned(reported[-1], 0.2) == [1, 0, 1, 1] and planned(reported[-1], 2.0) == [1, 1, 1, 1]
     controller.stop()
     assert planned(reported[-1], 0.2) == [1, 1, 1, 1]
+
+
+def test_legs_that_fold_where_it_is_narrow_are_guarded() -> None:
+    reported: list[ModeSchedule] = []
+    controller = SwerveController(SWERVE, np.zeros(3), PERIOD)
+    LegFolding.attach(SimpleNamespace(brakes=opened(reported)), controller)  # type: ignore[arg-type]
+    assert swung(controller) == [1, 0, 1, 1] and planned(reported[-1], 0.2) == [1, 0, 1, 1]
 
 
 def test_it_can_be_turned_off_and_rests_where_the_planner_would_not_know() -> None:

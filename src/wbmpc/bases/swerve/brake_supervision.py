@@ -59,27 +59,32 @@ class BrakeSupervision:
     """``brakes``: of the legs over time, or a function of time; None: closed. ``monitor`` is None for fixed legs; it looks every
     :data:`POLL_PERIOD`, and before a stop.
 
-    ``commanded`` may be replaced, as by a view; then the guard, which could not informs the planner, rests.
     """
 
     def __init__(
         self, robot: RobotModel, period: float, brakes: BrakeControl | Brakes | None, settings: SupervisionSettings
     ) -> None:
-        hinges = len(robot.state.groups.get("leg", ()))
-        control = brakes if isinstance(brakes, BrakeControl) else None
-        self._period, self.report = period, settings.report
-        self._control = control
-        self.guard = LegGuard(hinges) if settings.guard and control is not None else None
-        self._hold = settings.hold or (None if control is None else control.hold)
+        self._hinges = len(robot.state.groups.get("leg", ()))
+        self._period, self._settings, self.report = period, settings, settings.report
         self.monitor: WatchesBrakes | None = settings.monitor or brake_monitor(robot)
-        self.commanded: Brakes
-        if isinstance(brakes, BrakeControl):
-            self.commanded = brakes.commanded
-        else:
-            self.commanded = brakes or (lambda t: np.zeros(hinges))
-        self._own = self.commanded
+        self.guard: LegGuard | None = None
+        self._control: BrakeControl | None
+        self._hold: Callable[[Array], None] | None
+        self.follow(brakes)
         self._watched: Tick | None = None  # the newest tick since the last stop
         self._checked_at = -np.inf  # when the monitor looked last
+
+    def follow(self, brakes: BrakeControl | Brakes | None) -> None:
+        """Command ``brakes`` from now on. Only a :class:`BrakeControl` informs the planner, so the guard rests with any other."""
+        self.commanded: Brakes
+        if not isinstance(brakes, BrakeControl):
+            self._control, self._hold = None, None
+            self.commanded = brakes or (lambda t: np.zeros(self._hinges))
+            return
+        self._control, self._hold = brakes, self._settings.hold or brakes.hold
+        self.commanded = brakes.commanded
+        if self._settings.guard and self.guard is None:
+            self.guard = LegGuard(self._hinges)
 
     @property
     def faults(self) -> list[str]:
@@ -93,7 +98,7 @@ class BrakeSupervision:
 
     def _guarded(self) -> LegGuard | None:
         """The guard, while it acts."""
-        return self.guard if self.commanded is self._own else None
+        return None if self._control is None else self.guard
 
     def open(self, t: float) -> Array:
         """Brakes (n, 1 = open) at t [s]: as commanded, closed where the guard holds a leg."""
@@ -101,7 +106,7 @@ class BrakeSupervision:
         return brake if guard is None else np.where(guard.held(t), 0.0, brake)
 
     def guard_legs(self, t: float, leg: Array, rate: Array) -> None:
-        """Hold open legs that go astray from what drives have made of the commands, and informs the planner: measured angles ``leg``
+        """Hold open legs that go astray from what drives have made of the commands, and inform the planner: measured angles ``leg``
         (n) [rad], ``rate`` (n) [rad/s]."""
         guard = self._guarded()
         if guard is not None and guard.update(t, leg, rate, self.commanded(t)):
@@ -109,7 +114,7 @@ class BrakeSupervision:
 
     def await_legs(self, t: float, leg: Array) -> None:
         """Brakes that are about to close wait for their legs (:meth:`BrakeControl.await_legs`), which are at ``leg`` (n) [rad]."""
-        if self._control is not None and self.commanded is self._own:
+        if self._control is not None:
             self._control.await_legs(t, leg)
 
     def _notify_planner(self, guard: LegGuard) -> None:

@@ -78,12 +78,12 @@ class SwerveController:
 
     @property
     def brakes(self) -> Brakes:
-        """Brakes (n, 1 = open) over time, as commanded; a view may put its own in place."""
+        """Brakes (n, 1 = open) over time, as commanded; a view may put its own in place, with which the guard of the legs rests."""
         return self.supervision.commanded
 
     @brakes.setter
-    def brakes(self, brakes: Brakes) -> None:
-        self.supervision.commanded = brakes
+    def brakes(self, brakes: BrakeControl | Brakes) -> None:
+        self.supervision.follow(brakes)
 
     @property
     def slip(self) -> float | None:

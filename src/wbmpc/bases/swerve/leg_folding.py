@@ -104,7 +104,7 @@ class LegFolding:
     def attach(self, controller: Any) -> None:
         """Let a controller that has brakes follow these."""
         if hasattr(controller, "brakes"):
-            controller.brakes = self.brakes.commanded
+            controller.brakes = self.brakes
 
     def update(self, t: float, ahead: Reference | None = None) -> None:
         """Set the reference "state" and the brakes for updates from ``t`` [s] on. ``ahead``: that reference as it goes on if it does not wait:
