@@ -36,6 +36,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         moved = {"header": header, "child_frame_id": "left", "transform": pose}
         file.put("/tf", "tf2_msgs/TFMessage", t, {"transforms": [moved]})
     file.put("/mode", "std_msgs/String", 0.0, {"data": "H"}, latched=True)
+    file.metadata("joint_units", {"a": "rad", "b": "m"})
     file.metadata("result", {"completed": "false", "reason": "the robot fell"})
     file.close()
     return tmp_path
@@ -130,9 +131,21 @@ def test_plots(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     body = page[page.index("<body>") :]
     for title in ("End effector from above", "End effector error, estimated frame", "Joint speeds", "Solve times"):
         assert f"<h3>{title}" in body
-    assert body.count("Plotly.newPlot") == 4
+    assert body.count("Plotly.newPlot") == 5  # joints that turn and joints that slide have axes of their own
     assert main(["log", "plot", ".", "/mpc/solve_time", "--out", "one.html"]) == 0
     assert (run / "one.html").read_text().count("<h3>") == 1
+
+
+def test_speeds_of_joints_that_turn_are_read_in_degrees(run: Path) -> None:
+    from wbmpc.recording.plots import of_topics, overview
+
+    recording = read_recording(run)
+    joints = [p for p in overview(recording) if p.title == "Joint speeds"]
+    for plots in (joints, of_topics(recording, ["/joint_states"])):
+        turning, sliding = plots
+        assert (turning.y_label, sliding.y_label) == ("speed [°/s]", "speed [m/s]")
+        np.testing.assert_allclose(turning.series[0].y, np.degrees(SPEEDS[:, 0]))
+        np.testing.assert_array_equal(sliding.series[0].y, SPEEDS[:, 1])
 
 
 def test_hand_error(run: Path) -> None:

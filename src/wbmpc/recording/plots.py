@@ -10,11 +10,11 @@ from wbmpc.errors import InputError
 from wbmpc.recording.quantities import Columns
 from wbmpc.recording.reader import Recording
 from wbmpc.result import Plot, Series
-from wbmpc.units import with_unit
+from wbmpc.units import scale, with_unit
 
 #: What is measured in a unit, for labels.
 _QUANTITIES = {
-    "m": "position", "rad": "angle", "m/s": "speed", "rad/s": "speed", "m/s²": "acceleration", "N": "force", "N m": "torque", "s": "time",
+    "m": "position", "°": "angle", "m/s": "speed", "°/s": "speed", "m/s²": "acceleration", "N": "force", "N m": "torque", "s": "time",
 }  # fmt: skip
 
 
@@ -51,8 +51,9 @@ def _columns(recording: Recording, topic: str, title: str) -> list[Plot]:
         raise InputError(f"{recording.path}: topic '{topic}' holds no numbers to plot")
     about, found = Columns(recording), dict[str, list[Series]]()
     for name, column in columns.items():
-        line = Series(about.name(topic, name, len(columns)), table.times, column)
-        found.setdefault(about.unit(topic, name, len(columns)), []).append(line)
+        read = scale(about.unit(topic, name, len(columns)))
+        line = Series(about.name(topic, name, len(columns)), table.times, read.factor * column)
+        found.setdefault(read.unit, []).append(line)
     return [
         Plot(f"{title}, {unit}" if unit and len(found) > 1 else title, "time [s]", _label(topic, unit), lines)
         for unit, lines in found.items()
@@ -105,8 +106,8 @@ def _joint_speeds(recording: Recording) -> list[Plot]:
     table, about, found = recording.table("/joint_states"), Columns(recording), dict[str, list[Series]]()
     for name, column in table.columns.items():
         if name.startswith("velocity."):
-            unit = about.unit("/joint_states", name, len(table.columns))
-            found.setdefault(unit, []).append(Series(name[9:], table.times, column))
+            read = scale(about.unit("/joint_states", name, len(table.columns)))
+            found.setdefault(read.unit, []).append(Series(name[9:], table.times, read.factor * column))
     return [Plot("Joint speeds", "time [s]", with_unit("speed", unit), lines) for unit, lines in found.items()]
 
 

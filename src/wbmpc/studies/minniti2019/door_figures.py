@@ -135,12 +135,12 @@ def door_plots(name: str, trial: Trial, settings: RezeroDoorSettings) -> list[Pl
             Series("planned", t, along("force_planned")), Series("reference", t, reference, dashed=True),
             Series("tangential", t, tangential),
         ]),
-        Plot(f"Base, reference {label} (Fig. 9, below)", "time [s]", "angle [deg]", [
+        Plot(f"Base, reference {label} (Fig. 9, below)", "time [s]", "angle [°]", [
             Series("pitch", t, np.rad2deg(state[:, 3])), Series("roll", t, np.rad2deg(state[:, 4])),
             Series("lean into the door", t, np.rad2deg(lean(log))),
             Series("in contact (times 10)", t, 10.0 * (normal_force(log) > 0.0), dashed=True),
         ]),
-        Plot(f"Door, reference {label}", "time [s]", "angle [deg], rate [deg/s]", [
+        Plot(f"Door, reference {label}", "time [s]", "angle [°], rate [°/s]", [
             Series("angle", t, door[:, 0]), Series("angle, estimated", t, believed_door[:, 0], dashed=True),
             Series("rate", t, door[:, 1]), Series("rate, estimated", t, believed_door[:, 1], dashed=True),
         ]),

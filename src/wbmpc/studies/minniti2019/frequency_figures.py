@@ -80,5 +80,5 @@ def plots(log: Log) -> list[Plot]:
         Plot(f"Commanded torque of wheel {wheel} over frequency", "frequency [Hz]", "amplitude [N m]", [
             Series(n, frequency[n][1:], band[n][1:]) for n in done
         ]),
-        Plot("Tilt", "time [s]", "angle [deg]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),
+        Plot("Tilt", "time [s]", "angle [°]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),
     ]  # fmt: skip

@@ -63,7 +63,7 @@ def common_plots(log: Log, end_effector: np.ndarray, ball: np.ndarray) -> list[P
     error = lambda a, b: 1e3 * np.linalg.norm(a - b, axis=1)
     return [
         Plot("Ball position", "time [s]", "position [m]", [Series(n, t, state[:, i]) for i, n in enumerate("xy")]),
-        Plot("Roll and pitch of the base", "time [s]", "angle [deg]", [
+        Plot("Roll and pitch of the base", "time [s]", "angle [°]", [
             Series("pitch", t, np.rad2deg(state[:, 3])), Series("roll", t, np.rad2deg(state[:, 4])),
         ]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),

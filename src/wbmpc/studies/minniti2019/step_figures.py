@@ -107,7 +107,7 @@ def _turns(log: Log, schedule: Schedule) -> Plot:
     lines = [Series(f"about {n}", t, is_[:, i]) for i, n in enumerate("xyz")]
     goals = [Series(f"about {n}, reference", t, target[:, i], dashed=True) for i, n in enumerate("xyz")]
     return Plot(
-        "End effector orientation against home and its reference (Fig. 4)", "time [s]", "angle [deg]", [*lines, *goals]
+        "End effector orientation against home and its reference (Fig. 4)", "time [s]", "angle [°]", [*lines, *goals]
     )
 
 
@@ -125,7 +125,7 @@ def plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
         _turns(log, schedule),
         Plot("End effector position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(end_effector - target, axis=1))]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
-        Plot("Base orientation", "time [s]", "angle [deg]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),
+        Plot("Base orientation", "time [s]", "angle [°]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),
         Plot("Torques over their limits", "time [s]", "|torque| / limit", [
             Series(n, t, np.abs(torque[:, i]) / limit[i]) for i, n in enumerate(robot.input.names[: torque.shape[1]])
         ]),

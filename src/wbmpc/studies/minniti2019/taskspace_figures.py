@@ -68,7 +68,7 @@ def plots(log: Log) -> list[Plot]:
             ])
             for i, axis in enumerate("xyz")
         ),
-        Plot("Tilt", "time [s]", "angle [deg]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),
+        Plot("Tilt", "time [s]", "angle [°]", [Series(n, t[n], np.rad2deg(log.array(f"tilt_{n}"))) for n in done]),
         Plot("Largest wheel torque", "time [s]", "torque [N m]", [
             Series(n, t[n], wheels(n).max(axis=1)) for n in done
         ]),

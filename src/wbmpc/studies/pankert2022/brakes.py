@@ -104,7 +104,7 @@ def _plots(log: Log, tried: int) -> list[Plot]:
             Series("left front leg", slip[:, 0], 1e3 * slip[:, 1]),
         ]),
         Plot("Pushed until it slides, brakes closed", "force [N]", "displacement [mm]", slides),
-        Plot("Left front leg, its brake sound or stuck", "time [s]", "leg angle [deg]", legs),
+        Plot("Left front leg, its brake sound or stuck", "time [s]", "leg angle [°]", legs),
     ]  # fmt: skip
 
 

@@ -182,14 +182,14 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
             *(Series(n, t, base[:, k]) for k, n in enumerate(("x", "y", "yaw"))),
             *(Series(f"{n}, reference", t, target[:, k], dashed=True) for k, n in enumerate(("x", "y", "yaw"))),
         ]),
-        Plot("Leg angles (Fig. 7)", "time [s]", "angle [deg]", [
+        Plot("Leg angles (Fig. 7)", "time [s]", "angle [°]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
             *(Series(f"{n}, reference", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
         ]),
         *(Plot(f"Base error, {name}", "time [s]", "error [mm]", [
             Series(label, log.times(f"{n}.base"), size(n, frame)) for n, label in runs
         ]) for frame, name in enumerate(("world", "estimated frame"))),
-        Plot("Leg errors", "time [s]", "error [deg]", [
+        Plot("Leg errors", "time [s]", "error [°]", [
             Series(f"{label}, largest", log.times(f"{n}.leg"),
                    np.degrees(np.abs(log.array(f"{n}.leg") - log.array(f"{n}.leg_reference")).max(axis=1)))
             for n, label in runs
@@ -198,5 +198,5 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
     if "knock.leg" in log.channels:
         error = np.degrees(log.array("knock.leg") - log.array("knock.leg_reference"))
         series = [Series(n, log.times("knock.leg"), error[:, k]) for k, n in enumerate(names)]
-        drawn.append(Plot("A leg is knocked", "time [s]", "error [deg]", series))
+        drawn.append(Plot("A leg is knocked", "time [s]", "error [°]", series))
     return drawn

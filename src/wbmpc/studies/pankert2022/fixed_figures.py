@@ -106,5 +106,5 @@ def plots(log: Log, reference: Motion, names: Iterable[str]) -> list[Plot]:
         Plot("Position error of all controllers, world", "time [s]", "error [m]", [
             Series(n, t, e) for n, (t, e, _) in found.items()
         ]),
-        Plot("Yaw error, world", "time [s]", "error [deg]", [Series(n, t, np.rad2deg(y)) for n, (t, _, y) in found.items()]),
+        Plot("Yaw error, world", "time [s]", "error [°]", [Series(n, t, np.rad2deg(y)) for n, (t, _, y) in found.items()]),
     ]  # fmt: skip

@@ -75,7 +75,7 @@ def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
         Plot("Base error, estimated frame", "time [s]", "error [mm, mrad]", [
             Series(n, t, 1e3 * (odometry - target)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
         ]),
-        Plot("Leg angles", "time [s]", "angle [deg]", [
+        Plot("Leg angles", "time [s]", "angle [°]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
             *(Series(f"{n}, reference", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
         ]),
