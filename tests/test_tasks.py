@@ -189,7 +189,7 @@ def test_bad_settings_name_the_key(driving: Path, name: str, change: str, words:
 
 
 def test_a_base_that_stands_does_not_drive(standing: Path) -> None:
-    with pytest.raises(wb.InputError, match=r"the base of 'own' does not move"):
+    with pytest.raises(wb.InputError, match=r"the state of robot 'own' has no pose of a base"):
         run("cmd-vel", standing)
 
 

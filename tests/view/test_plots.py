@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,14 +12,16 @@ from wbmpc import lie
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
 from wbmpc.stability import leg_angles
-from wbmpc.view.actuator_load import GROUPS, Loads
+from wbmpc.view.actuator_load import SHARES, Loads
 from wbmpc.view.history import POINTS, SAMPLES, SPAN, History, Trail
 from wbmpc.view.leg_configuration import LegConfiguration, configuration_text
 from wbmpc.view.snapshot import TRAIL, errors, status_text
 
 pytest.importorskip("viser")
+from wbmpc.view.panel import plotted
 from wbmpc.view.replay_plots import POINTS as POINTS_OF_REPLAYS
 from wbmpc.view.replay_plots import marked, thinned
+from wbmpc.view.steering import Controls
 
 
 @pytest.mark.parametrize("pictures", [30, 230, 2000])
@@ -44,10 +49,22 @@ def test_shares_of_the_limits_by_group() -> None:
     loads = Loads(robot, joints)
     assert loads.groups == ("arm", "legs", "steering", "wheels")
     shares = loads.shares(np.array([0.1, -0.2, 1.0, 8.0, 1.57, 0.0, 1e3]))
-    assert shares == pytest.approx(
-        {"arm": 0.5, "legs": 0.5, "steering": 0.2, "wheels": 0.8, "drives": np.nan}, nan_ok=True
-    )
-    assert tuple(shares) == GROUPS
+    assert list(shares.values()) == pytest.approx([0.5, 0.5, 0.2, 0.8, *[np.nan] * 4], nan_ok=True)
+    assert tuple(shares) == SHARES
+
+
+def test_groups_of_a_base_that_is_not_ours() -> None:
+    """Names and number of groups are what its description says."""
+    axes = {f"axis {k}": [f"axis_{k}"] for k in range(9)}
+    base = SimpleNamespace(joint_groups=lambda: axes, captions={n: n for n in axes}, torque_limits=lambda limits: [])
+    limits = SimpleNamespace(velocity={f"axis_{k}": 2.0 for k in range(9)})
+    robot: Any = SimpleNamespace(base=base, limits=limits, arm=SimpleNamespace(joints=["elbow"]))
+    loads = Loads(robot, [f"axis_{k}" for k in range(9)])
+    assert loads.groups == tuple(axes)[: len(SHARES)]
+    assert list(loads.shares(0.1 * np.arange(9.0)).values()) == pytest.approx(0.05 * np.arange(8.0))
+    figures = plotted(Controls("t", (), False, False, loads.groups))
+    lines = next(found for title, found in figures.items() if title.startswith("Speeds / limits"))
+    assert [(place, name) for place, name, *_ in lines] == list(zip(SHARES, loads.groups, strict=True))
 
 
 def test_shares_of_a_ball_robot() -> None:
@@ -55,8 +72,8 @@ def test_shares_of_a_ball_robot() -> None:
     loads = Loads(load_description("rezero"), ["arm_yaw", "arm_shoulder", "arm_elbow"])
     assert loads.groups == ("arm", "drives")
     shares = loads.shares(np.array([1.0, -2.0, 0.0]), np.array([1.0, -3.0, 0.0, 18.0, 0.0, 0.0]))
-    assert shares["arm"] == 0.5 and shares["drives"] == 0.75 and np.isnan(shares["wheels"])
-    assert np.isnan(loads.shares(np.zeros(3))["drives"])
+    assert list(shares.values()) == pytest.approx([0.5, 0.75, *[np.nan] * 6], nan_ok=True)
+    assert np.isnan(loads.shares(np.zeros(3))[SHARES[1]])
 
 
 def test_errors() -> None:

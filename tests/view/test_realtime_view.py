@@ -19,6 +19,7 @@ from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.model.robot import load_robot
 from wbmpc.runtime.shared_memory import Board, Mailbox
+from wbmpc.view.actuator_load import SHARES
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE
 from wbmpc.view.steering import no_requests
 
@@ -101,7 +102,7 @@ def test_a_run_that_begins_anew_is_shown_anew() -> None:
         moments.write(t=t, late=0.0, x=x, ticks=1.0, misses=0.0)
         values = picture(message)
         trail = values["trail"]
-        return dict(zip(NUMBERS, values["numbers"], strict=True))["arm"], trail[np.isfinite(trail).all(axis=1)]
+        return dict(zip(NUMBERS, values["numbers"], strict=True))[SHARES[0]], trail[np.isfinite(trail).all(axis=1)]
 
     far, fast = robot.home.copy(), robot.home.copy()
     far[robot.state["base"]] += [3.0, 0.0, 0.0]

@@ -27,11 +27,12 @@ SWING = 3.0
 _UP = (0.0, 0.0, 1.0)
 
 
-def base_part(robot: RobotModel) -> slice:
-    """Where (x, y, yaw) of the base are in the robot's state. Raises :class:`InputError` where the base does not move."""
+def base_part(robot: RobotModel, task: str = "route") -> slice:
+    """Where (x, y, yaw) of the base are in the robot's state. Raises :class:`InputError`, which names the ``task``, where it has none."""
     if "base" not in robot.state:
         raise InputError(
-            f"route: the base of '{robot.description.name}' does not move; valid: a robot with a base that does"
+            f"{task}: the state of robot '{robot.description.name}' has no pose of a base (a group 'base' with x, y, yaw); "
+            "valid: a robot that drives"
         )
     start = robot.state["base"].start
     return slice(start, start + 3)

@@ -11,11 +11,12 @@ from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.route import base_part
 from wbmpc.result import Metric
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.led_base import RAMP, base_path, lead_base, ordered_twist
 from wbmpc.tasks.loop import closed_loop
-from wbmpc.tasks.settings import TaskSettings, moving_base
+from wbmpc.tasks.settings import TaskSettings
 
 Array = np.ndarray
 #: Speeds [m/s or rad/s] of an order; times [s] of all orders together, at most.
@@ -44,7 +45,7 @@ class CmdVelSettings(TaskSettings):
 def build(settings: CmdVelSettings, seed: int) -> Scenario:
     """One run: the end effector's reference is where the ordered base carries it."""
     robot, mpc = settings.prepare()
-    start = robot.home[moving_base(robot, "cmd-vel")]
+    start = robot.home[base_part(robot, "cmd-vel")]
     _check(robot, settings)
     times, poses = base_path(settings.orders, start, settings.settle_time, ordered_twist(robot))
     lead_base(robot, mpc, times, poses)

@@ -14,6 +14,7 @@ DEFINITIONS: Definitions = {
     "base_path_length": ("m", "length of the path of the base on the floor; true"),
     "odometry_drift_ratio": ("1", "final error of the estimated position of the base, relative to its path length"),
     "limit_violation_max": ("rad", "largest angle of a joint beyond its range"),
+    "slide_limit_violation_max": ("m", "largest travel of a sliding joint beyond its range"),
     "path_time": ("s", "time from the start until the end effector is at the end of the path"),
     "contour_error_rms_world": ("m", "rms distance of the end effector from the path, whatever the time, until its end is reached; true"),
     "contour_error_max_world": ("m", "largest distance of the end effector from the path, whatever the time, until its end is reached; true"),

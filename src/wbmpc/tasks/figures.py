@@ -30,7 +30,11 @@ def general_metrics(log: Log, robot: RobotModel, since: float, fell: bool) -> di
             found["odometry_drift_ratio"] = Metric(float(np.hypot(*(estimated - base)[-1, :2])) / way, "1")
     state, limits = log.array("state"), robot.limits
     outside = np.maximum(limits.state_lower - state, state - limits.state_upper)
-    found["limit_violation_max"] = Metric(max(0.0, float(outside.max(initial=-np.inf))), "rad")
+    limited = np.isfinite(limits.state_lower) | np.isfinite(limits.state_upper)
+    for name, unit in (("limit_violation_max", "rad"), ("slide_limit_violation_max", "m")):
+        own = outside[:, limited & (np.array(robot.state.units) == unit)]
+        if own.size:
+            found[name] = Metric(max(0.0, float(own.max())), unit)
     return found
 
 

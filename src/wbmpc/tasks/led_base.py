@@ -10,10 +10,10 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.route import base_part
 from wbmpc.ocp import Cost, Reference
 from wbmpc.tasks.path_settings import SAMPLED
 from wbmpc.tasks.paths import rise
-from wbmpc.tasks.settings import moving_base
 
 Array = np.ndarray
 #: How long [s] a change of speed takes.
@@ -41,12 +41,12 @@ def base_path(orders: Sequence[Order], start: Array, since: float, twist: Array)
 def lead_base(robot: RobotModel, mpc: MPC, times: Array, poses: Array) -> None:
     """The base of a robot at home follows ``poses`` (n, 3) at ``times`` (n) [s] and carries its end effector along; the base itself counts
     with the weight of the end effector, where the problem has a cost of the whole state."""
-    start, tool = robot.home[moving_base(robot, "cmd-vel")], mpc.reference["end_effector"].at(0.0)
+    start, tool = robot.home[base_part(robot, "cmd-vel")], mpc.reference["end_effector"].at(0.0)
     carried = np.array([_carried(tool, start, pose) for pose in poses])
     mpc.reference["end_effector"] = Reference(times, carried, "pose")
     if "state" not in mpc.reference or mpc.reference["state"].values.shape[1] != robot.state.size:
         return
-    part = moving_base(robot, "cmd-vel")
+    part = base_part(robot, "cmd-vel")
     values = np.tile(mpc.reference["state"].values[:1], (len(times), 1))
     values[:, part] = poses
     mpc.reference["state"] = Reference(times, values)

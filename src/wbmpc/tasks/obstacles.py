@@ -19,6 +19,7 @@ from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.route import base_part
 from wbmpc.obstacles.geometry import RobotShape, robot_geometry
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
@@ -29,7 +30,6 @@ from wbmpc.tasks.following import ClockReference, PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
 from wbmpc.tasks.perception import PerceptionSettings
-from wbmpc.tasks.settings import moving_base
 
 Array = NDArray[np.float64]
 #: A person: radius and height [m].
@@ -112,7 +112,7 @@ class Extent:
     """What a robot takes up at home, in its own world: ``low`` and ``high`` (3) [m] of its shapes, ``tool`` (3) and ``base`` (3: x, y, yaw)."""
 
     def __init__(self, robot: RobotModel, task: str) -> None:
-        self.base = robot.home[moving_base(robot, task)]
+        self.base = robot.home[base_part(robot, task)]
         self.tool = np.asarray(robot.pose(robot.home)[0])
         self.ground = robot.description.base.ground
         geometry = robot_geometry(robot)

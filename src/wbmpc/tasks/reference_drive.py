@@ -13,6 +13,7 @@ from wbmpc.errors import RunAborted
 from wbmpc.estimation.arm_calibration import ZERO_STD, calibrate_arm
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.route import base_part
 from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.kept_calibration import kept
 from wbmpc.simulation.lockstep import preparation, run_lockstep
@@ -20,7 +21,6 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.settings import LidarSettings
 from wbmpc.simulation.tracked_arm import TRACKER, track_arm
 from wbmpc.tasks.led_base import RAMP, Order, base_path, lead_base, ordered_twist
-from wbmpc.tasks.settings import moving_base
 
 Array = np.ndarray
 #: Strokes: straight [m] and turns [rad], speeds [m/s, rad/s] and their share of the base's limits at most; standing between them [s].
@@ -50,7 +50,7 @@ def drive(robot: RobotModel, perturbation: Perturbation, seed: int) -> tuple[Log
     not)."""
     plugin, log = base_type(robot.description.base.type), Log()
     made, channels = plugin.system(robot, seed, perturbation), plugin.calibration_channels
-    start = robot.home[moving_base(robot, "reference drive")]
+    start = robot.home[base_part(robot, "reference drive")]
     times, poses = base_path(strokes(robot), start, 0.0, ordered_twist(robot))
     lead_base(robot, made.mpc, times, poses)
     lidar, turning, controller = LidarSettings().source(seed), list[float](), cast(Any, made.controller)

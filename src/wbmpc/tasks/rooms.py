@@ -19,7 +19,7 @@ from wbmpc.errors import InputError, NoRoute
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
-from wbmpc.mpc.route import follow_route
+from wbmpc.mpc.route import base_part, follow_route
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Cylinder
 from wbmpc.obstacles.world import Obstacles
@@ -29,7 +29,7 @@ from wbmpc.tasks.following import PathTaskSettings, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line
 from wbmpc.tasks.scene import GOAL
-from wbmpc.tasks.settings import TaskSettings, moving_base
+from wbmpc.tasks.settings import TaskSettings
 from wbmpc.types import Truth
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class Room(NamedTuple):
 
 def draw_room(settings: RoomSettings, robot: RobotModel, seed: int) -> Room:
     """The first room of the seed's that has a route. Raises :class:`InputError` if none of :data:`DRAWN` has."""
-    rng, start = np.random.default_rng(seed), robot.home[moving_base(robot, "rooms")]
+    rng, start = np.random.default_rng(seed), robot.home[base_part(robot, "rooms")]
     half, spread = 0.5 * settings.width, 0.5 * settings.width - 1.4
     low = start[:2] - [BEHIND, half]
     high = start[:2] + [settings.length + BEHIND, half]
@@ -142,7 +142,7 @@ def build(settings: RoomSettings, seed: int) -> Scenario:
     """Straight from the start to the goal, or along the route."""
     robot = load_robot(settings.robot)
     room = draw_room(settings, robot, seed)
-    step = room.goal - robot.home[moving_base(robot, "rooms")]
+    step = room.goal - robot.home[base_part(robot, "rooms")]
     length = float(np.linalg.norm(step[:2]))
     line = Line(length=length, direction=float(np.arctan2(step[1], step[0])), speed=settings.speed)
     shared = {name: getattr(settings, name) for name in TaskSettings.model_fields}

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from wbmpc.bases import base_type
 from wbmpc.configuration import Rules
-from wbmpc.errors import InputError, unknown_name
+from wbmpc.errors import unknown_name
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
@@ -121,13 +121,3 @@ def scale_weights(mpc: MPC, factors: dict[str, float]) -> None:
         for place, weight in places:
             if cost.at in (place, "path+terminal"):
                 mpc.solver.set_weight(name, list(factor * cost.expand(weight)), place)
-
-
-def moving_base(robot: RobotModel, task: str) -> slice:
-    """Where (x, y, yaw) of the base begin in the robot's state. Raises :class:`InputError` where the base does not move."""
-    if "base" not in robot.state:
-        raise InputError(
-            f"{task}: the base of '{robot.description.name}' does not move; valid: a robot with a base that does"
-        )
-    start = robot.state["base"].start
-    return slice(start, start + 3)

@@ -10,6 +10,7 @@ from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.mpc.route import base_part
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, SupportMarginSettings, WheelLoadSettings
@@ -18,7 +19,7 @@ from wbmpc.stability import StanceOf, leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
-from wbmpc.tasks.settings import TaskSettings, moving_base
+from wbmpc.tasks.settings import TaskSettings
 from wbmpc.types import Truth
 
 Array = np.ndarray
@@ -151,7 +152,7 @@ def build(settings: TipOverSettings, seed: int) -> Scenario:
     if settings.physics != "mujoco":
         raise InputError("tip-over: physics=kinematic: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
-    moving_base(robot, "tip-over")
+    base_part(robot, "tip-over")
     robot = reaching(robot, settings.direction, settings.legs)
     kept = settings.stability.margin if isinstance(settings.stability, SupportMarginSettings) else 0.0
     check_stands(robot, settings.plant.payload, kept)

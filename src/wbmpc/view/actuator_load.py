@@ -7,8 +7,10 @@ import numpy as np
 from wbmpc.robots import RobotDescription
 
 Array = np.ndarray
-#: Names of the groups; ``drives`` are those of a base that are commanded by torque: the others' limits are speeds.
-GROUPS = ("arm", "legs", "steering", "wheels", "drives")
+#: Places of a robot's groups among numbers that are shown; a robot with more groups shows the first ones.
+SHARES = tuple(f"share_{k}" for k in range(8))
+#: Drives of a base that are commanded by torque: the limits of the other groups are speeds.
+DRIVES = "drives"
 
 
 class Loads:
@@ -25,20 +27,18 @@ class Loads:
         }
         self._places = {group: found for group, found in places.items() if found}
         self._torques = np.array(base.torque_limits(limits))
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """The groups that this robot has, of :data:`GROUPS`."""
-        return (*self._places, *(("drives",) if np.isfinite(self._torques).any() else ()))
+        #: Names of the robot's groups: the arm, what its base names, and :data:`DRIVES`.
+        self.groups = (*self._places, *((DRIVES,) if np.isfinite(self._torques).any() else ()))[: len(SHARES)]
 
     def shares(self, speeds: Array, forces: Array | None = None) -> dict[str, float]:
-        """The largest speed over its limit of each group, nan for groups that there are not.
+        """The largest speed over its limit of each group, in the order of ``groups`` in the places :data:`SHARES`; nan beyond.
 
         ``speeds`` (joints) [rad/s]; ``forces``: of all drives [N m], those commanded by torque first (left out: not
         known).
         """
         ratio = np.abs(speeds) / self._limits
         found = {group: float(ratio[places].max()) for group, places in self._places.items()}
-        if forces is not None and "drives" in self.groups:
-            found["drives"] = float((np.abs(forces[: self._torques.size]) / self._torques).max())
-        return {group: found.get(group, np.nan) for group in GROUPS}
+        if forces is not None and DRIVES in self.groups:
+            found[DRIVES] = float((np.abs(forces[: self._torques.size]) / self._torques).max())
+        shares = (found.get(group, np.nan) for group in self.groups)
+        return dict.fromkeys(SHARES, np.nan) | dict(zip(SHARES, shares, strict=False))

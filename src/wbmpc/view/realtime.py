@@ -25,7 +25,7 @@ from wbmpc.simulation.lockstep import Running
 from wbmpc.simulation.perturbation import perturbation_model
 from wbmpc.simulation.scene import SceneReader
 from wbmpc.solver import Trajectory
-from wbmpc.view.actuator_load import GROUPS, Loads
+from wbmpc.view.actuator_load import DRIVES, SHARES, Loads
 from wbmpc.view.core import LiveView, followed, numbers, solved
 from wbmpc.view.history import Factor, Trail
 from wbmpc.view.leg_configuration import LegConfiguration
@@ -62,9 +62,8 @@ class RealtimeView(LiveView):
         """Start the process; returns when it answers."""
         self.seen = seen
         scene = scene_of(self.robot)[1]
-        groups = tuple(
-            g for g in Loads(self.robot.description, scene.joint_names).groups if g != "drives"
-        )  # not measured
+        loads = Loads(self.robot.description, scene.joint_names)
+        groups = tuple(g for g in loads.groups if g != DRIVES)  # which come last, and are not measured
         controls = self._controls(mpc, self.robot, groups, paced=False, pushes=seen is not None)
         nx = mpc.dynamics.state.size
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
@@ -182,14 +181,14 @@ class Picture:
         self._factor, self._trail = Factor(), Trail()
         self._legs = LegConfiguration(self.robot, self._reader.joint_names)
         self._previous: tuple[float, Array] | None = None
-        self._shares = dict.fromkeys(GROUPS, np.nan)
+        self._shares = dict.fromkeys(SHARES, np.nan)
 
     def __call__(self, plan: dict[str, Array]) -> dict[str, Any]:
         """The newest of everything; ``plan``: the MPC's message."""
         moment = self._moments.read()
         if moment is not None and moment.values["t"] < self._moment["t"]:  # another run begins
             self._trail.reset()
-            self._previous, self._shares = None, dict.fromkeys(GROUPS, np.nan)
+            self._previous, self._shares = None, dict.fromkeys(SHARES, np.nan)
         self._moment = moment.values if moment is not None else self._moment
         seen = self._seen.read() if self._seen is not None else None
         self._ground = seen.values if seen is not None else self._ground

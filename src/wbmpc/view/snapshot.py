@@ -10,7 +10,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.simulation.scene import Contact, Scene
-from wbmpc.view.actuator_load import GROUPS
+from wbmpc.view.actuator_load import SHARES
 from wbmpc.view.leg_configuration import configuration_text
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
@@ -22,12 +22,12 @@ TRAIL = 202
 #: A contact higher than this [m] is none with the floor or what lies on it.
 ABOVE = 0.3
 #: Numbers that are plotted. Lengths in m, times in s; ``error``, ``turn`` [rad]: of the end effector, ``base``: of a base with a goal;
-#: those of :data:`~wbmpc.view.actuator_load.GROUPS`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
+#: those of :data:`~wbmpc.view.actuator_load.SHARES`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
 #: support polygon and the active triangle.
 #: ``late``: by how much a tick of a real-time run began late; ``factor``: the run's time over the clock's; ``late_ticks``: how many
 #: of the ``ticks`` were late; ``configuration``: of the legs, see :mod:`wbmpc.view.leg_configuration`; ``clearance``: least of the plan.
 NUMBERS = (
-    "t", "error", "turn", "base", "solve", "deadline", *GROUPS, "margin", "triangle_margin", "late", "factor", "ticks",
+    "t", "error", "turn", "base", "solve", "deadline", *SHARES, "margin", "triangle_margin", "late", "factor", "ticks",
     "late_ticks", "configuration", "clearance",
 )  # fmt: skip
 #: Shapes of what :func:`ground` finds.

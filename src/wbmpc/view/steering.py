@@ -52,7 +52,7 @@ def no_requests() -> dict[str, Array]:
 @dataclass(frozen=True)
 class Controls:
     """What there is to control: a title, names of weights, whether legs, a base goal; ``groups`` of drives whose shares of
-    their limits are plotted (:data:`~wbmpc.view.actuator_load.GROUPS`); ``paced``: whether time can be
+    their limits are plotted (:data:`~wbmpc.view.actuator_load.SHARES`); ``paced``: whether time can be
     held, ``pushes``: whether a user can push, ``obstacle``: whether plans keep clear of a box that a user places; names of the
     ``configurations`` of its legs."""
 

@@ -17,13 +17,14 @@ from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
+from wbmpc.mpc.route import base_part
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
 from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.fast_courses import SCurve, Sideways, Slalom
 from wbmpc.tasks.loop import closed_loop
-from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings, moving_base
+from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings
 from wbmpc.tasks.tip_over import LIFTED, reaching
 from wbmpc.types import Truth
 
@@ -96,7 +97,7 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
     if settings.physics != "mujoco":
         raise InputError(f"{NAME}: physics: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
-    moving_base(robot, NAME)
+    base_part(robot, NAME)
     course, ordered = settings.course, settings.settle_time
     robot = reaching(course.equipped(robot), np.pi / 2, settings.legs, course.ROLLING)
     scene = course.scene(robot, seed)
