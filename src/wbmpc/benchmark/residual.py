@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from wbmpc.arrays import Array
 from wbmpc.benchmark.program import Program
 
-Array = np.ndarray
 #: Solvers are compared at points that are this close to the conditions (the tables say 1e-6).
 EQUAL = 1e-6
 #: Keeps the multipliers of dependent rows finite.

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Frame
 from wbmpc.obstacles.geometry import frame_function, split_poses
-
-Array = NDArray[np.float64]
 
 
 class CompiledKinematics:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance import grid_step
 from wbmpc.clearance.kinematics import CompiledKinematics
 from wbmpc.clearance.table import SolidTable
@@ -18,7 +18,6 @@ from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.solids import Solid
 from wbmpc.obstacles.world import Obstacle, Snapshot
 
-Array = NDArray[np.float64]
 #: Nearest points of a frame and a distance grid, in different directions.
 SIDES = 2
 

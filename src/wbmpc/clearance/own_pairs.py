@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance import own_step
 from wbmpc.clearance.table import SolidTable
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.step import Step, bind
 from wbmpc.obstacles.geometry import RobotGeometry, common_link, frame_function, link_frames
 from wbmpc.ocp.clearance_residuals import SELF_WIDTH
-
-Array = NDArray[np.float64]
 
 
 class OwnPairs:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.mapping.body_step import mark_own
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.solids import KINDS
-
-Array = NDArray[np.float64]
 
 
 class BodyFilter:

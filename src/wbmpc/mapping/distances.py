@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.kernel.ir import LANES
 from wbmpc.mapping.distance_step import signed
 from wbmpc.obstacles.shapes import MAX_CELLS, DistanceGrid
 
-Array = NDArray[np.float64]
 #: Cells that a distance may be too large by: half a cell's diagonal, and what linear interpolation adds about a single cell.
 ERROR = 1.05
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError, SensorFailure
 from wbmpc.kernel.ir import LANES
 from wbmpc.mapping.body import BodyFilter
@@ -17,7 +18,6 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.shapes import LARGEST, MAX_CELLS, DistanceGrid
 from wbmpc.obstacles.world import Obstacles
 
-Array = NDArray[np.float64]
 #: The window moves when the sensor is farther [m] than this from its middle; distances up to this [m] are exact, others are so much.
 MOVES, FARTHEST = 0.5, 1.0
 #: Points farther than so many ranges are no measurements.

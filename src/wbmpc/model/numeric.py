@@ -8,11 +8,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError
 from wbmpc.model.reentrant import Reentrant
-
-Array = NDArray[np.float64]
 
 
 class Numeric:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.model.augment import InputRate, WithPath
 from wbmpc.model.robot import RobotModel
 from wbmpc.solver import Solver
 
-Array = NDArray[np.float64]
 #: A stop takes so long [s] at least and, where no limit says how fast inputs change, exactly the second; no longer than the last.
 SHORTEST, USUAL, LONGEST = 0.2, 0.5, 1.5
 

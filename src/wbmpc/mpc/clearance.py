@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance.nearest import with_sides
 from wbmpc.clearance.rows import Clearance as LeastClearance
 from wbmpc.clearance.rows import ObstacleRows, SelfRows
@@ -20,7 +20,6 @@ from wbmpc.ocp.symbols import KeepsClear
 from wbmpc.solver import Solver, Trajectory
 from wbmpc.solver.warm_start import restart_from, take_as_result
 
-Array = NDArray[np.float64]
 #: Share of a margin that a plan may lack before it is replaced: one iteration misses rows by some of it.
 TOLERATED = 0.5
 #: A plan that penetrates by less than this [m] more than the current one is no worse.

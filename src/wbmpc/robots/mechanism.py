@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.robots.actuation import Drive, read_drives
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.findings import Finding
@@ -17,7 +16,6 @@ from wbmpc.robots.inertia import replace_inertias, violates_triangle_inequality
 from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import ModelFile, parse
 
-Array = NDArray[np.float64]
 _KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
 from wbmpc.robots.file_limits import LARGEST_MESH
 
-Array = np.ndarray
 #: Bytes before the first triangle of a binary STL file, and of each: normal, three points, an attribute.
 _HEAD, _TRIANGLE = 84, np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("attribute", "<u2")])
 _VERTICES = {

@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.control.protocols import Controller
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Bound, Guess
@@ -22,7 +23,6 @@ from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.solver import Trajectory
 
-Array = np.ndarray
 #: Weights of costs, by name and place (path or terminal).
 Weights = dict[tuple[str, Literal["path", "terminal"]], Weight]
 Groups = dict[str, Array]

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.ros2.convert import header
 from wbmpc.stability import StanceOf, support_polygon
 
-Array = np.ndarray
 #: Numbers of visualization_msgs/Marker.
 LINE_STRIP, SPHERE = 4, 2
 #: Width of lines, size of points [m]; how many moments of the plan are shown.

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.ros2.obstacle_messages import Detection
 
-Array = np.ndarray
 #: Velocities are those of straight lines through positions of so long [s], and so many at least; slower ones [m/s] are noise.
 WINDOW, FEWEST, STILL = 0.5, 3, 0.05
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.mapping.local_map import LocalMap
@@ -27,7 +28,6 @@ from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.transforms import Pose, Transforms
 
 _LOG = logging.getLogger("wbmpc")
-Array = np.ndarray
 Time = Callable[[], float]
 #: Names of obstacles; those of detections go on with the object's.
 DETECTIONS, GRID, POINTS = "detections", "occupancy_grid", "points"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
@@ -16,7 +17,6 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.types import Truth
 
-Array = np.ndarray
 #: Of the position loop of a simulated joint_trajectory_controller [1/s]; a speed below the other one [rad/s] is rest for it.
 _GAIN, AT_REST = 10.0, float(np.finfo(np.float32).eps)
 

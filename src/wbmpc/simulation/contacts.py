@@ -15,14 +15,11 @@ from itertools import product
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc.kernel.step import bind
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.model_import import SHAPE
 from wbmpc.simulation.contact_step import near
-
-Array = NDArray[np.float64]
 
 #: Classes of shapes, the bits of MuJoCo's ``contype``.
 FLOOR, ROLLS, BODY, FIXED, TOUCHES, TOUCHED = 1, 2, SHAPE, 8, 16, 32

@@ -10,12 +10,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.kernel.step import bind
 from wbmpc.simulation.frame_step import in_parents
 
-Array = NDArray[np.float64]
 #: Contact forces below this [N] are none.
 _MIN_FORCE = 1e-9
 #: A part of a robot without shapes is drawn as rods to the parts on it: radius, shortest [m], color.

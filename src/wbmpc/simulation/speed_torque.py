@@ -7,12 +7,10 @@ from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc.kernel.step import bind
 from wbmpc.simulation.speed_torque_step import limit
 
-Array = NDArray[np.float64]
 #: No-load speed over rated speed, where a robot's file says nothing else.
 NO_LOAD = 1.25
 

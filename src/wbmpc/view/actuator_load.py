@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.robots import RobotDescription
 
-Array = np.ndarray
 #: Names of the groups; ``drives`` are those of a base that are commanded by torque: the others' limits are speeds.
 GROUPS = ("arm", "legs", "steering", "wheels", "drives")
 

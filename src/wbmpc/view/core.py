@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.recording.observer import end_effector_goal
@@ -14,8 +15,6 @@ from wbmpc.stability import configurations
 from wbmpc.view.snapshot import NUMBERS, errors
 from wbmpc.view.steering import Controls, Steering, no_requests
 from wbmpc.view.window import Window
-
-Array = np.ndarray
 
 
 class LiveView(Window):

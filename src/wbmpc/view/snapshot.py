@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.simulation.scene import Contact, Scene
 from wbmpc.view.actuator_load import GROUPS
 from wbmpc.view.leg_configuration import configuration_text
 from wbmpc.view.support import active_triangle, hull, margin, pressure_point
 
-Array = np.ndarray
 #: Points of the reference path and of plans, and contacts, at most.
 REFERENCE, PLAN, CONTACTS = 200, 31, 8
 #: Points of the way that the end effector has taken.

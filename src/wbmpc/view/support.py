@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-Array = np.ndarray
+from wbmpc.arrays import Array
 
 
 def hull(points: Array) -> Array:

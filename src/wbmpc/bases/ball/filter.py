@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball import chi_square
 from wbmpc.bases.ball.filter_memory import FilterMemory
 from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, skew
@@ -27,7 +28,6 @@ from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.kernel.step import Backend
 
-Array = NDArray[np.float64]
 _REST = np.array([0.0, 0.0, GRAVITY])
 #: Probability of more than this surprise without a fault; what a wheel must have turned [rad] before an encoder that does not
 #: move is called stalled: one that stays within so many counts.

@@ -7,14 +7,12 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.filter_solve import process
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState
 from wbmpc.bases.ball.filter_step import Noise, State
 from wbmpc.kernel.step import Backend, Step, bind
-
-Array = NDArray[np.float64]
 
 
 class FilterMemory:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.inertial_gate_step import Gate
 from wbmpc.bases.base import InertialDescription
 
-Array = NDArray[np.float64]
 #: Share of its range from which on a reading is no measurement.
 FULL = 0.999
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.gap import GAP
 from wbmpc.bases.ball.joint_step import Joints, track
 from wbmpc.checks import not_negative, numbers, positive, positive_time, scales
 from wbmpc.kernel.step import Backend, bind, zeros
 
-Array = NDArray[np.float64]
 #: An arm with a joint that is faster than this times its speed limit is flung, and turns the base with it: the inertial unit
 #: is right then, however far from the message before. (Seen: 34 rad/s where the limit is 4, and 2 rad/s of yaw in 2.5 ms.)
 FASTER = 2.0

@@ -6,8 +6,9 @@ import logging
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.lean_step import BASE, lean_offsets
 from wbmpc.bases.ball.model import ball_base
@@ -17,7 +18,6 @@ from wbmpc.kernel.step import Backend, bind
 from wbmpc.lie import cos_sin
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
 #: The share of the wheels' reach up to which a robot leans against a force that lasts: the rest is for balancing there. With all
 #: of it, 60 N that held on felled one of three perturbed robots after 6 s.

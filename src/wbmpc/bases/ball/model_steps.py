@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.model_step import accelerate, learn
@@ -16,8 +16,6 @@ from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.solver import Solver
-
-Array = NDArray[np.float64]
 
 
 class ModelSteps:

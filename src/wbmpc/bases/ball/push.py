@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.balance import Balance, load_offset
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.push_step import take_in
@@ -18,7 +19,6 @@ from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Slower drifts [m/s] than this are not taken for a push: noise, friction, loads and a model that is a little wrong.
 DEAD = 0.1
 

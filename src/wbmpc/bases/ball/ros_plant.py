@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.types import Truth
-
-Array = np.ndarray
 
 
 class BallRosPlant(RosPlant):

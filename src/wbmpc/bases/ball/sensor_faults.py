@@ -10,14 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.monitor_step import Encoders, detect_frozen, has_jumped
 from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.checks import not_negative, positive
 from wbmpc.kernel.step import Backend, bind, zeros
 
-Array = NDArray[np.float64]
 #: With fewer wheel encoders than this the ball's place is not known any more: the inertial unit alone drifts.
 MIN_WHEELS = 2
 #: As near as this [rad] to its stop a joint may stand whatever its drive does.

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.torque_step import limit_torques
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Where pitch and roll are in a state.
 LEAN = slice(3, 5)
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.truth_step import estimated, truth
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.log import Log, Rows
-
-Array = NDArray[np.float64]
 
 
 class TruthRecord:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.fixed.ros_settings import FixedRosSettings
 from wbmpc.bases.optional import mounting
 from wbmpc.control.direct import DirectController, InputCommand, StateMeasurement
@@ -16,8 +17,6 @@ from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Groups, PendingChanges, obstacles_of
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.optional import mounting
 from wbmpc.constants import GRAVITY
 from wbmpc.control.direct import InputCommand
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.types import Truth
 
-Array = np.ndarray
 #: What an accelerometer at rest says [m/s²].
 _GRAVITY = np.array([0.0, 0.0, GRAVITY])
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.strokes import Strokes, fit_strokes
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 
-Array = NDArray[np.float64]
 #: Standard deviations before any measurement (relative): of a radius, and of a speed of the base, which rollers that creep and tracks that
 #: skid make slower.
 RADIUS, SPEED = 0.01, 0.03

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.base import Base, BaseType, Calibration, System
 from wbmpc.bases.planar_motion.calibration import fit_errors
 from wbmpc.bases.planar_motion.model import PlanarBase, planar_base
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
     from wbmpc.simulation.world import Edit
 
-Array = NDArray[np.float64]
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
 ILL = 20.0
 

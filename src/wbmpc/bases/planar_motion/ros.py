@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.model import planar_base
@@ -33,7 +34,6 @@ from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 
-Array = np.ndarray
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
 #: [rad] besides, have restarted.
 GAP, REST = 0.1, 0.5

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.messages import PlanarCommand
 from wbmpc.ros2.convert import upright
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.types import Truth
-
-Array = np.ndarray
 
 
 class PlanarRosPlant(RosPlant):

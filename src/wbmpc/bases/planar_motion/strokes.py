@@ -11,11 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: A base stands while no wheel or steering joint turns by more than this [rad], for this time [s] at least: controllers that hold a base
 #: turn its wheels a little.
 STILL, STANDS = 0.03, 0.3

@@ -12,15 +12,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_step import Brakes, monitor_brakes
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import Backend, bind, zeros
-
-Array = NDArray[np.float64]
-
 
 #: Planned rates [rad/s] at which ``expected`` counts in full; largest share of a leg's limit that does not count.
 FAST, CRAWL_SHARE = 0.4, 0.7

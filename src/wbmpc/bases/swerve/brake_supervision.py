@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.model.robot import RobotModel
 
 _LOG = logging.getLogger("wbmpc")
-Array = NDArray[np.float64]
 #: Brakes are checked about every so often [s]: legs do not move far meanwhile, and a check takes nearly as long as the rest of
 #: a command.
 POLL_PERIOD = 0.01

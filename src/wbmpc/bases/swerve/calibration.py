@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.hanging_wheels import weights_on_the_ground
 from wbmpc.bases.swerve.odometry_filter import OdometryNoise
@@ -21,8 +21,6 @@ from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_record import STILL, WheelRecord
 from wbmpc.errors import InputError
 from wbmpc.model.wheels import ModuleGeometry
-
-Array = NDArray[np.float64]
 
 
 def replay(

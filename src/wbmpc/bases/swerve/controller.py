@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import Brakes, BrakeSupervision, SupervisionSettings
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
@@ -20,8 +20,6 @@ from wbmpc.checks import positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
-
-Array = NDArray[np.float64]
 
 
 class SwerveController:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import learn_sag
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
 SAG_TIME, MAX_SAG = 1.0, 0.15
 

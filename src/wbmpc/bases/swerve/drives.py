@@ -7,13 +7,11 @@ proportional velocity servo lags by friction over gain.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.drive_step import Friction, drive, learn, smooth
 from wbmpc.checks import not_negative, positive
 from wbmpc.kernel.step import Backend, bind, zeros
-
-Array = NDArray[np.float64]
 
 
 class DryFriction:

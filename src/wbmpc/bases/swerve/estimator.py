@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.drives import Smoothing
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
@@ -24,7 +24,6 @@ from wbmpc.checks import not_negative
 from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
 #: A wheel whose zero and radius are so many times less certain than those of the best known wheel counts by the ratio of their variances.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.steering_planner import LEVER, SteeringGuess
 from wbmpc.model.robot import RobotModel
 from wbmpc.solver import Trajectory
@@ -17,7 +18,6 @@ from wbmpc.solver import Trajectory
 if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
 
-Array = np.ndarray
 #: Speed [m/s] of the way that is foreseen, its least time [s]; a goal nearer than this [m] is reached.
 SPEED, MINIMUM, THERE = 0.4, 1.0, 0.03
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.slipping_wheels import FEWEST, SHARE
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.model.wheels import ModuleGeometry
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
 #: Length [m] of pieces of the way, in which counts of encoders cancel; root mean square of what wheels contradict each other over their
 #: way above which one is sought that hangs. What it counts then: hardly anything, as wheels that slip.

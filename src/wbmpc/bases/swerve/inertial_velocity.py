@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.inertial_step import inertial_velocity
 from wbmpc.bases.swerve.slipping_wheels import OVER
 from wbmpc.kernel.step import Backend, bind
 
-Array = NDArray[np.float64]
 #: An inertial unit that reads less [m/s²] is none, for gravity is missing; nor is one that reads more [m/s², rad/s].
 NO_GRAVITY, BROKEN = 1.0, 1e3
 #: After a longer time [s] without a message the wheels' mean velocity counts.

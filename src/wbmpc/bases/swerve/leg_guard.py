@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.description import ModuleDescription, SwerveBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.model.joints import Limits, joint_home, joint_limits
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
 #: By how much [rad] a steering range may be short of half a turn (files say 1.57): a wheel points 0.01 rad off at worst.
 NEARLY = 0.02

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.steering_planner import SteeringGuess, speed
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.path import Following, PathProgress
@@ -18,7 +19,6 @@ from wbmpc.solver import Trajectory
 if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
 
-Array = np.ndarray
 #: Way [m] over which the base's direction on the path is measured.
 WAY = 1e-3
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking import SwerveTracking
@@ -15,7 +15,6 @@ from wbmpc.model.wheels import aligned_steering
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
 
-Array = NDArray[np.float64]
 #: Steering errors [rad] of a start from which wheels are aligned first.
 CROOKED = 0.05
 

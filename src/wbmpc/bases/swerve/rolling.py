@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.rolling_step import roll
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
-
-Array = NDArray[np.float64]
 
 
 class Rolling:

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, Tick, brake_monitor
@@ -34,7 +35,6 @@ from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
 
-Array = np.ndarray
 #: The monitor of brakes takes so many ticks at once at most: 10 s of them.
 BACKLOG = 1000
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].

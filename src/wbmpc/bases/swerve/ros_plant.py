@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel
@@ -11,8 +12,6 @@ from wbmpc.ros2.convert import upright
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.types import Truth
-
-Array = np.ndarray
 
 
 class SwerveRosPlant(RosPlant):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.slip_step import detect_contradiction
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 
-Array = NDArray[np.float64]
 #: Contradiction of the wheels [m/s] that is looked into, averaged over [s]; for how long [s] a wheel is not believed after it.
 CONTRADICTS, OVER, HOLD = 0.01, 0.04, 0.1
 #: Wheels whose velocities of the base are nearer [m/s] agree.

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.drives import DryFriction
 from wbmpc.bases.swerve.estimator import SwerveEstimator
@@ -23,7 +23,6 @@ from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 
-Array = NDArray[np.float64]
 #: Gain [1/s] of the steering servo while it aligns wheels: the base waits for them.
 ALIGN_GAIN = 15.0
 
