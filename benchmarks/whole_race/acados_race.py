@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.benchmark.child import within
 from wbmpc.benchmark.ours import single_iteration
+from wbmpc.benchmark.peers import within
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program, Samples, sampled
 from wbmpc.benchmark.residual import Measure, to_equal_residual

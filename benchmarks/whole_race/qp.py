@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from scipy import sparse
 
-from wbmpc.benchmark.child import within
 from wbmpc.benchmark.ours import milliseconds
+from wbmpc.benchmark.peers import within
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
 from whole_race.acados_peer import Acados, AcadosProblem, NoAcados, Settings, build_description

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-_STEPS = ("arm_step", "contact_step", "frame_step", "speed_torque_step")
+_STEPS = ("arm", "contacts", "frame_step", "speed_torque")
 LIBRARY = Library(
     "simulation",
     packages=("simulation", "kernel"),

@@ -3,6 +3,8 @@
 Source: Bloesch, Burri, Sommer, Siegwart, Hutter: "The Two-State Implicit Filter", RA-L 2018: no prediction, only residuals
 between two consecutive states; the older one is marginalised. Here the residuals are inertial increments (strapdown), rolling
 of the ball without slip, wheel encoders, and the floor's height. docs/explanation/ball-robot.md has the equations.
+
+Gates of estimators: how large a weighed square of errors may be. (SciPy has it, and takes as long to import as a robot to load.)
 """
 
 from __future__ import annotations
@@ -14,19 +16,56 @@ from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.arrays import Array
-from wbmpc.bases.ball import chi_square
 from wbmpc.bases.ball.filter_memory import FilterMemory
 from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, skew
 from wbmpc.bases.ball.filter_step import State
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
-from wbmpc.bases.ball.inertial import forget, gate_arrays
-from wbmpc.bases.ball.inertial_gate_step import FAULTS
+from wbmpc.bases.ball.inertial_gate_step import FAULTS, Gate
 from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.kernel.step import Backend
+
+#: Share of its range from which on a reading is no measurement.
+FULL = 0.999
+
+
+def gate_arrays(unit: InertialDescription, rest: Array) -> dict[str, Array]:
+    """The arrays of :func:`~wbmpc.bases.ball.inertial_gate_step.judge` before the first message of a ``unit``, whose accelerometer reads
+    ``rest`` (3) [m/s²] then."""
+    gate = np.zeros(Gate.FULL + 2)
+    gate[Gate.FULL :] = FULL * unit.rate, FULL * unit.acceleration
+    return {"message": np.zeros(6), "given": np.zeros(6), "last": np.concatenate([np.zeros(3), rest]), "gate": gate}
+
+
+def forget(gate: Array) -> None:
+    """After a gap the next message may be any: it is no jump."""
+    gate[: Gate.SAME] = 0.0
+
+
+def chi_square_tail(square: float, freedom: int) -> float:
+    """The probability that the sum of ``freedom`` squares of unit normal numbers is larger than ``square``.
+
+    Source: Abramowitz and Stegun, Handbook of Mathematical Functions (1964), equations 26.4.4 and 26.4.5.
+    """
+    half = 0.5 * square
+    if freedom % 2:
+        terms = (half ** (i - 0.5) / math.gamma(i + 0.5) for i in range(1, (freedom + 1) // 2))
+        return math.erfc(math.sqrt(half)) + math.exp(-half) * sum(terms)
+    return math.exp(-half) * sum(half**i / math.factorial(i) for i in range(freedom // 2))
+
+
+def chi_square_gate(freedom: int, probability: float) -> float:
+    """The square that is exceeded with a ``probability`` between 0 and 1, by bisection."""
+    low, high = 0.0, float(freedom)
+    while chi_square_tail(high, freedom) > probability:
+        low, high = high, 2.0 * high
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if chi_square_tail(middle, freedom) > probability else (low, middle)
+    return high
+
 
 _REST = np.array([0.0, 0.0, GRAVITY])
 #: Probability of more than this surprise without a fault; what a wheel must have turned [rad] before an encoder that does not
@@ -57,7 +96,7 @@ class BallFilter:
         numbers("ball filter", "rotation", np.ravel(rotation), 9)
         self.freedom, self.surprise = n + 1, 0.0
         gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ _REST)
-        self._gate = chi_square.gate(self.freedom, GATE)
+        self._gate = chi_square_gate(self.freedom, GATE)
         constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "largest_step": STALLED}
         self._memory = FilterMemory(geometry, noise, gate, backend, **constants)
         start = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))

@@ -22,15 +22,12 @@ from wbmpc.robots.findings import Finding
 from wbmpc.robots.model_checks import BESIDE
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from wbmpc.arrays import Array
     from wbmpc.bases.planar.plant import MobilePlant
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
-
-    Array = NDArray[np.float64]
 
 
 #: Links of wheels and tracks.

@@ -8,7 +8,9 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.arrays import Array
+from wbmpc.bases.swerve.compilation import step
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
+from wbmpc.bases.swerve.drive_step import smooth
 from wbmpc.bases.swerve.drives import Smoothing
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
@@ -17,12 +19,29 @@ from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.odometry_filter import OdometryNoise
 from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
-from wbmpc.bases.swerve.smooth_step import smooth_pose
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.checks import not_negative
+from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
+
+
+@step
+def smooth_pose(
+    m: int, base: int, pose: Floats, drives: Floats, mean: Floats, sag: Floats, arm: Floats, read: Floats, rates: Floats, value: Floats,
+    started: bool, age: float, time: float, h: float,
+) -> None:  # fmt: skip
+    """x and y of the base's ``pose`` (3) and the ``arm`` (m), smoothed, into ``value`` (2 + m). ``drives`` (nu): rates of the inputs, of which
+    the base's begin at ``base``; the arm turns at ``mean`` + ``sag`` (m) [rad/s]."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    vx, vy = drives[base], drives[base + 1]
+    rates[0], rates[1] = c * vx - s * vy, s * vx + c * vy
+    read[0], read[1] = pose[0], pose[1]
+    for i in range(m):
+        rates[2 + i], read[2 + i] = mean[i] + sag[i], arm[i]
+    smooth(2 + m, read, rates, value, started, age, time, h)
+
 
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3

@@ -15,9 +15,7 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from wbmpc.arrays import Array
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
     from wbmpc.bases.swerve.leg_folding import LegFolding
     from wbmpc.bases.swerve.perturbation import SwervePerturbation
@@ -33,8 +31,6 @@ if TYPE_CHECKING:
     from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
-
-    Array = NDArray[np.float64]
 
 
 class SwerveBaseType(BaseType):
