@@ -28,7 +28,7 @@ SIMULATED = frozenset(
 )  # fmt: skip
 #: Modules beside the packages that have no part in it.
 NO_PART = frozenset(
-    ("__init__.py", "__main__.py", "compare.py", "errors.py", "input_file.py", "interrupts.py", "json_file.py", "logs.py", "output_file.py",
+    ("__init__.py", "__main__.py", "compare.py", "errors.py", "input_file.py", "interrupts.py", "logs.py", "output_file.py",
      "registry.py", "reproduce.py", "result.py", "run_files.py", "run_index.py", "settings_table.py", "units.py", "yaml_file.py")
 )  # fmt: skip
 SWERVE, BALL = SIMULATED | {"bases/swerve", "studies/pankert2022"}, SIMULATED | {"bases/ball", "studies/minniti2019"}

@@ -9,8 +9,7 @@ import pytest
 from ball_states import error_between
 
 from wbmpc import lie
-from wbmpc.bases.ball.filter import BallFilter, gate_arrays
-from wbmpc.bases.ball.filter_memory import FilterMemory
+from wbmpc.bases.ball.filter import BallFilter, FilterMemory, gate_arrays
 from wbmpc.bases.ball.filter_solve import solve_robust
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
 from wbmpc.bases.ball.filter_step import linearize

@@ -8,7 +8,7 @@ import pytest
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.simulation.arm import carry, keep
 from wbmpc.simulation.contacts import near
-from wbmpc.simulation.frame_step import from_base
+from wbmpc.simulation.scene import from_base
 
 BACKENDS: list[Backend] = ["compiled", "interpreted"]
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.plots.figures import hint, plotly_figure
-from wbmpc.plots.series import Plot, Series
+from wbmpc.plots.figures import Plot, Series, hint, plotly_figure
 from wbmpc.units import by_unit, with_unit
 
 #: Height of a plot in a figure [pixels].

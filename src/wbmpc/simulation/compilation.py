@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-_STEPS = ("arm", "contacts", "frame_step", "speed_torque")
+_STEPS = ("arm", "contacts", "scene", "speed_torque")
 LIBRARY = Library(
     "simulation",
     packages=("simulation", "kernel"),

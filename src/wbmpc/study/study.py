@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from wbmpc.errors import InputError, NotWritten
-from wbmpc.json_file import load_json
+from wbmpc.input_file import load_json
 from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
 from wbmpc.run_files import flat

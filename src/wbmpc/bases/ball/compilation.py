@@ -6,7 +6,7 @@ from wbmpc.kernel.library import Library
 from wbmpc.solver.compilation import LIBRARY as DRIVER
 
 _STEPS = (
-    "disturbance_step", "inertial_gate_step", "filter_step", "filter_solve", "joint_tracker", "torque_limits", "sensor_faults", "sensor_step",
+    "disturbance", "inertial_gate_step", "filter_step", "filter_solve", "joint_tracker", "torque_limits", "sensor_faults", "sensor_step",
     "payload_step", "lean_control", "push",
 )  # fmt: skip
 _PACKAGES = ("bases/ball", "kernel", "constants.py")

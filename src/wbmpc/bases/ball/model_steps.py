@@ -9,8 +9,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.ball.compilation import MODEL
-from wbmpc.bases.ball.disturbance import DisturbanceObserver
-from wbmpc.bases.ball.disturbance_step import Clock, Disturbance, Gate, Setting, observe
+from wbmpc.bases.ball.disturbance import Clock, Disturbance, DisturbanceObserver, Gate, Setting, observe
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.payload_step import Payload, update_mass

@@ -20,7 +20,7 @@ from wbmpc.kernel.library import Library
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.log import Log, Rows
 from wbmpc.simulation.compilation import LIBRARY as SIMULATION
-from wbmpc.simulation.frame_step import from_base
+from wbmpc.simulation.scene import from_base
 
 #: Apart from the controller's steps, which need nothing of the simulator.
 LIBRARY = Library(

@@ -13,10 +13,9 @@ import numpy as np
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.drives import DryFriction
-from wbmpc.bases.swerve.estimator import SwerveEstimator
+from wbmpc.bases.swerve.estimator import SideSlip, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.tracking_step import integrate, predict, simulate_drives, track
 from wbmpc.checks import not_negative
 from wbmpc.kernel.step import Backend, bind
