@@ -23,7 +23,7 @@ SOURCE = "src/wbmpc"
 NESTED = ("bases", "studies")
 #: Packages of a plant and its controller, a solver's too, that a paper's experiments run; of ``bases`` and ``studies`` their own.
 SIMULATED = frozenset(
-    ("clearance", "control", "estimation", "kernel", "model", "mpc", "obstacles", "ocp", "robots", "runtime", "simulation", "solver",
+    ("bases/common", "clearance", "control", "estimation", "kernel", "model", "mpc", "obstacles", "ocp", "robots", "runtime", "simulation", "solver",
      "stability", "tasks", "modules")
 )  # fmt: skip
 #: Modules beside the packages that have no part in it.

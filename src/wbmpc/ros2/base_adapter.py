@@ -18,6 +18,7 @@ from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.terms import Weight
 from wbmpc.ros2.bus import Node
+from wbmpc.ros2.convert import upright
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
@@ -155,6 +156,16 @@ def spatial_covariance(planar: Array) -> Array:
     out = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
     out[np.ix_([0, 1, 5], [0, 1, 5])] = planar
     return out
+
+
+def planar_estimate(pose: Array, twist: Array, height: float, covariance: Array, twist_covariance: Array) -> Estimate:
+    """Of a base at ``pose`` (x, y, yaw) with ``twist`` (vx, vy, ω) in its axes, both with covariances (3, 3), at a ``height`` [m]; the rest
+    is unknown."""
+    position, orientation = upright(pose, height)
+    spatial = np.array([twist[0], twist[1], 0.0, 0.0, 0.0, twist[2]])
+    return Estimate(
+        position, orientation, spatial, spatial_covariance(covariance), spatial_covariance(twist_covariance)
+    )
 
 
 def obstacles_of(settings: RosSettings) -> Obstacles | None:

@@ -20,10 +20,6 @@ class BallRosPlant(RosPlant):
         super().__init__(robot, plant)
         self.imu_at = plant.sensors.mount
 
-    def rest(self) -> dict[str, Array]:
-        """No torque."""
-        return {g: np.zeros(len(self.robot.input.groups[g])) for g in ("wheel", "arm")}
-
     def command(self, groups: dict[str, Array]) -> BallCommand:
         """What the drives get."""
         return BallCommand(np.concatenate([groups["wheel"], groups["arm"]]))

@@ -6,18 +6,11 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.messages import PlanarCommand
-from wbmpc.ros2.convert import upright
 from wbmpc.ros2.plants import Reading, RosPlant
-from wbmpc.ros2.settings import drive_groups
-from wbmpc.types import Truth
 
 
 class PlanarRosPlant(RosPlant):
     """Of speeds."""
-
-    def rest(self) -> dict[str, Array]:
-        """Everything at rest."""
-        return {g: np.zeros(len(names)) for g, names in drive_groups(self.robot).items()}
 
     def command(self, groups: dict[str, Array]) -> PlanarCommand:
         """What the drives get."""
@@ -31,7 +24,3 @@ class PlanarRosPlant(RosPlant):
         joints = {"leg": np.zeros(0), "steer": m.steer, "wheel": wheel, "arm": m.arm}
         self.last = Reading(joints, m.gyro, m.accel, way=way)
         return self.last
-
-    def base(self, truth: Truth) -> tuple[Array, Array]:
-        """Position and quaternion of the base."""
-        return upright(truth.pose, self.robot.base.body_height)

@@ -10,7 +10,6 @@ from functools import partial
 
 import numpy as np
 
-from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
@@ -27,7 +26,7 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of, spatial_covariance
+from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of, planar_estimate
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
@@ -333,12 +332,8 @@ class SwerveRosAdapter(BaseAdapter):
         if seen is None:
             return None
         odometry = self.controller.estimator.odometry
-        x, y, yaw = seen[1][self.robot.state["base"]]
-        v = odometry.twist
-        return Estimate(
-            np.array([x, y, self.robot.base.body_height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
-            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), spatial_covariance(odometry.covariance), spatial_covariance(odometry.twist_covariance),
-        )  # fmt: skip
+        pose, height = seen[1][self.robot.state["base"]], self.robot.base.body_height
+        return planar_estimate(pose, odometry.twist, height, odometry.covariance, odometry.twist_covariance)
 
 
 def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = None) -> dict[str, Reference]:

@@ -18,11 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.base import Calibration, System
+from wbmpc.bases.base import Calibration
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
-from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import LEVER, SteeringGuess, speed
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
@@ -31,8 +30,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.path import Following, PathProgress
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE, MpcSettings, StabilitySettings
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings, StabilitySettings
 from wbmpc.solver import Trajectory
 
 if TYPE_CHECKING:
@@ -143,15 +141,10 @@ def make_mpc(
     return mpc
 
 
-def make_system(robot: RobotModel, plant: SwervePlant, mpc: MPC, calibration: Calibration | None = None) -> System:
-    """Controller of a plant that stands at home; ``calibration`` of its wheels (:class:`WheelCalibration`)."""
-    timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
+def make_controller(
+    robot: RobotModel, pose: Array, period: float, calibration: Calibration | None = None
+) -> SwerveController:
+    """Of a plant that stands at ``pose`` (3); ``calibration`` of its wheels (:class:`WheelCalibration`)."""
     wheels = None if calibration is None else WheelCalibration(**calibration)
-    controller = SwerveController(
-        robot,
-        plant.truth().pose,
-        timing.period,
-        tracking=TrackingSettings(lag=ACTUATOR_TIME_CONSTANT),
-        estimation=EstimatorSettings(calibration=wheels),
-    )
-    return System(plant, controller, mpc, timing)
+    tracking, estimation = TrackingSettings(lag=ACTUATOR_TIME_CONSTANT), EstimatorSettings(calibration=wheels)
+    return SwerveController(robot, pose, period, tracking=tracking, estimation=estimation)
