@@ -31,14 +31,7 @@ from wbmpc.ocp.base_residuals import UprightPart
 from wbmpc.ocp.clearance_residuals import stopping_time
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.ocp.symbols import Residual
-from wbmpc.settings import (
-    MpcSettings,
-    Settings,
-    StabilitySettings,
-    SupportMarginSettings,
-    Weight,
-    WheelLoadSettings,
-)
+from wbmpc.settings import MpcSettings, Settings, StabilitySettings, SupportMarginSettings, Weight, WheelLoadSettings
 from wbmpc.stability import StanceOf
 
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.

@@ -92,7 +92,6 @@ def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[st
 
 
 def size_race(repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
-    """One row per problem."""
     rows = []
     for name, (make, published, goal) in race_problems().sizes.items():
         note(name)

@@ -100,7 +100,6 @@ class Finder:
         return out
 
     def _indices(self, obstacle: Obstacle) -> list[int]:
-        """Of the frames that may touch an obstacle."""
         for name in obstacle.ignore:
             if name not in self.geometry.frames:
                 where = f"obstacle '{obstacle.name}', ignore"

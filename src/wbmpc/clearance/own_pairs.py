@@ -144,7 +144,6 @@ class OwnPairs:
         return OwnPairs, self._made_of
 
     def _allocate(self, n: int) -> None:
-        """Arrays for n states, bound to the steps."""
         shapes, frames, rows, pairs = (
             len(self._table.arrays["frame_of"]),
             self._frames,
@@ -179,7 +178,6 @@ class OwnPairs:
         self._fill()
 
     def _settle(self, touch: int) -> None:
-        """How deep pairs are that touch."""
         found = self._touching[:touch]
         n, (row, one, two) = len(self._states), (self._index[k] for k in ("row_of", "one", "two"))
         k, pair = np.unravel_index(found, (n, len(row)))

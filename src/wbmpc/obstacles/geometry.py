@@ -320,5 +320,4 @@ def common_link(robot: RobotModel, first: int, second: int) -> int:
 
 
 def link_frames(links: Sequence[int]) -> list[Frame]:
-    """Frames at links."""
     return [Frame(link, np.zeros(3), np.eye(3)) for link in links]

@@ -172,10 +172,7 @@ class Obstacles:
         who = f"frame '{name}'"
         if not isinstance(name, str) or name == WORLD:
             raise InputError(f"{who}: another name than '{WORLD}' is needed")
-        pose = (
-            checks.numbers(who, "position", position, 3).copy(),
-            unit_quaternion(who, "orientation", orientation),
-        )
+        pose = (checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation))
         checks.at_most(who, LARGEST, position=pose[0])
         with self._lock:
             self._frames[name] = pose

@@ -16,7 +16,6 @@ _HEIGHT = 260
 
 
 def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A titled table of texts, which stay texts."""
     line = lambda tag, cells: (
         f"<tr>{''.join(f'<{tag} style=text-align:left>{html.escape(str(c))}</{tag}>' for c in cells)}</tr>"
     )

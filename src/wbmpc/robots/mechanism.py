@@ -100,7 +100,6 @@ class Mechanism:
         return [m.joint(j).name for j in joints if mujoco.mjtJoint(int(m.jnt_type[j])) in _KINDS and m.joint(j).name]
 
     def joints_of(self, body: int) -> tuple[str, ...]:
-        """Named joints between the world and a body."""
         m, found = self.model, list[str]()
         while body > 0:
             first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
@@ -113,7 +112,6 @@ class Mechanism:
         return [j.name for j in self.joints.values() if joint in j.above]
 
     def parent(self, body: str) -> str:
-        """Name of the parent of a body."""
         return str(self.model.body(int(self.model.body_parentid[self.model.body(body).id])).name)
 
     def path(self, body: str) -> list[str]:

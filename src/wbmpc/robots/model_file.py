@@ -34,7 +34,6 @@ _LOG = logging.getLogger(__name__)
 
 
 def log_warnings() -> None:
-    """Log MuJoCo's warnings from now on, in this process."""
     mujoco.set_mju_user_warning(lambda text: _LOG.warning("MuJoCo: %s", text))
 
 

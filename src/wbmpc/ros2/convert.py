@@ -48,7 +48,6 @@ def seconds(time: Any) -> float:
 
 
 def header(time: float, frame: str) -> dict[str, Any]:
-    """A header."""
     return {"stamp": stamp(time), "frame_id": frame}
 
 

@@ -241,7 +241,6 @@ class DdsNode:
             self._announce()
 
     def offer(self, parameters: Parameters) -> None:
-        """Parameters of this node, by its services."""
         ParameterServices(self, self.name, parameters)
 
     # ------------------------------------------------------------------ graph

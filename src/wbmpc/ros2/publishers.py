@@ -100,10 +100,7 @@ class Footprint:
         """At the state x (nx) with the inputs u (nu) and the world's ``wrench`` (6) on the end effector; and along a policy."""
         stands, point = self.stance(x, u, wrench)
         inside = self._stance is None or _inside(stands, point)
-        found = [
-            self._line(now, "support", 0, stands, GREEN),
-            self._dot(now, "zmp", point, GREEN if inside else RED),
-        ]
+        found = [self._line(now, "support", 0, stands, GREEN), self._dot(now, "zmp", point, GREEN if inside else RED)]
         if policy is None:
             return found
         last = len(policy.u) - 1
@@ -179,7 +176,6 @@ class Publishers:
         self._published_at = -np.inf
 
     def publish(self) -> None:
-        """Publish what is due."""
         now = time.perf_counter()
         c = self.controller
         messages = c.state, *rejections(c).values(), *c.adapter.faults, c.health.late, c.health.fell
@@ -223,7 +219,6 @@ class Publishers:
         self._send("end_effector_pose", {"header": header(now, frames.world), "pose": pose(*self._end_effector(x))})
 
     def _end_effector(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pose of the end effector above the floor."""
         position, turned = self.controller.robot.pose(x)
         return position + [0.0, 0.0, self.controller.adapter.planner.lift], turned
 

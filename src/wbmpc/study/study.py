@@ -246,7 +246,6 @@ class Clock:
         self._began = time.monotonic()
 
     def ended(self, run: Run, row: Row) -> None:
-        """A run has ended."""
         self._left[run.combination.experiment] -= 1
         self._bad += row["outcome"] != "completed"
         if "wall_time" in row:
@@ -328,7 +327,6 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, t
 
 
 def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by dotted key as sections."""
     out: dict[str, Any] = {}
     for key, value in settings.items():
         *sections, last = key.split(".")

@@ -246,7 +246,6 @@ class BallFilter:
         self.faults = self._named(choice, fault, stalled) if choice or fault or any(stalled) else ()
 
     def _start(self, wheel: Array) -> None:
-        """The first message says where the wheels are."""
         arrays, covariance = self._memory.arrays, self.covariance
         arrays["x"][State.WHEEL :], arrays["read"][:] = wheel, wheel
         covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2

@@ -41,7 +41,6 @@ class BallBaseType(CommonBaseType):
         check_ball(description, model)
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> BallBase:
-        """The full dynamics on minimal coordinates."""
         base = description.base
         assert isinstance(base, BallBaseDescription)
         tree = read_tree(spec, base.body, without=(base.ball,))

@@ -290,7 +290,6 @@ class BallRosAdapter(BaseAdapter):
         return self._rest
 
     def groups(self, command: BallCommand) -> Groups:
-        """A command by groups."""
         n = self._rest["wheel"].size
         return {"wheel": command.torque[:n], "arm": command.torque[n:]}
 

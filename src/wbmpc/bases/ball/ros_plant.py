@@ -21,7 +21,6 @@ class BallRosPlant(RosPlant):
         self.imu_at = plant.sensors.mount
 
     def command(self, groups: dict[str, Array]) -> BallCommand:
-        """What the drives get."""
         return BallCommand(np.concatenate([groups["wheel"], groups["arm"]]))
 
     def read(self) -> Reading:

@@ -42,5 +42,4 @@ class DifferentialBaseType(PlanarBaseType):
         return propose(fixed, 0.9, f"{len(fixed)} driven wheels on one axle", {})
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> PlanarBase:
-        """The kinematic model."""
         return differential_base(description, *self.read(description, spec))

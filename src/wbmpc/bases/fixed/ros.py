@@ -38,7 +38,6 @@ class FixedRosAdapter(SpeedRosAdapter):
         self._rest = {"arm": np.zeros(robot.input.size)}
 
     def groups(self, command: InputCommand) -> Groups:
-        """A command by groups."""
         return {"arm": command.input}
 
     # ------------------------------------------------------------------ states

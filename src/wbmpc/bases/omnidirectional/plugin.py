@@ -64,5 +64,4 @@ class OmnidirectionalBaseType(PlanarBaseType):
         return propose(fixed, fit, reason, {"rollers": "mecanum"}, ROLLERS("mecanum"))
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> PlanarBase:
-        """The kinematic model."""
         return omnidirectional_base(description, *self.read(description, spec))

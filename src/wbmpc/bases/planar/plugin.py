@@ -102,7 +102,6 @@ class MobileBaseType(PlanarBaseType):
         )
 
     def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
-        """That turns slip."""
         assert isinstance(description.base, MobileBaseDescription)
         if not description.base.slips:
             return []
@@ -118,7 +117,6 @@ class MobileBaseType(PlanarBaseType):
         ]
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> MobileBase:
-        """The kinematic model."""
         base = description.base
         assert isinstance(base, MobileBaseDescription)
         names: tuple[str, ...] = ("vx", "vy", "wz") if base.drive == "omni" else ("v", "wz")

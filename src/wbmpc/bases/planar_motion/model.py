@@ -130,7 +130,6 @@ class PlanarBase:
             )
 
     def root(self, x: ca.SX) -> FramePose:
-        """Pose of the body's frame."""
         position = ca.vertcat(x[0], x[1], self.body_height)
         return FramePose(position, ca.sparsify(lie.quaternion_about(_UP, x[2])), rotation_about(_UP, x[2]))
 

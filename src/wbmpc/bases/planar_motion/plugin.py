@@ -41,7 +41,6 @@ class PlanarBaseType(CommonBaseType):
     }  # fmt: skip
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
-        """Joints that are wheels."""
         check_wheels(description, model)
 
     def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:

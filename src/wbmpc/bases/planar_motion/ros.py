@@ -18,13 +18,7 @@ from wbmpc.bases.planar_motion.model import planar_base
 from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import (
-    Estimate,
-    Fix,
-    Groups,
-    Weights,
-    planar_estimate,
-)
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Weights, planar_estimate
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
@@ -180,7 +174,6 @@ class PlanarRosAdapter(SpeedRosAdapter):
         return {False: {("state", "path"): plain}, True: {("state", "path"): led}}
 
     def groups(self, command: PlanarCommand) -> Groups:
-        """A command by groups."""
         steer = {"steer": command.steer} if command.steer.size else {}
         return {**self._rest, "wheel": command.wheel, "arm": command.arm, **steer}
 

@@ -13,11 +13,9 @@ class PlanarRosPlant(RosPlant):
     """Of speeds."""
 
     def command(self, groups: dict[str, Array]) -> PlanarCommand:
-        """What the drives get."""
         return PlanarCommand(groups["wheel"], groups["arm"], groups.get("steer", np.zeros(0)))
 
     def read(self) -> Reading:
-        """What the sensors say."""
         m = self.plant.measure()
         counted = self.robot.description.base.takes_twist  # by the base's own driver
         wheel, way = (np.zeros(0), m.wheel) if counted else (m.wheel, None)

@@ -128,6 +128,5 @@ def _check_level(description: RobotDescription, wheels: Sequence[str], height: A
 
 
 def section(description: RobotDescription) -> PlanarBaseDescription:
-    """The description of the base."""
     assert isinstance(description.base, PlanarBaseDescription)
     return description.base

@@ -247,7 +247,6 @@ class BrakeControl:
         return next((t for t, (a, b) in later if a[leg] != b[leg]), np.inf)
 
     def schedule(self) -> ModeSchedule:
-        """The planner's modes over time."""
         times = self._events[0]
         held = self._held.tolist()
         events = sorted({t for t in (*times, *(t + self.delay for t in (*times, *held))) if np.isfinite(t)})

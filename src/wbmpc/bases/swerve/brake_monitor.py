@@ -200,7 +200,6 @@ class BrakeMonitor:
         return self._withdraw(t, a["angle"]) + self._judged(t, a["angle"])
 
     def _judged(self, t: float, angle: Array) -> list[BrakeFault]:
-        """New faults of brakes that have settled."""
         new = []
         for i in np.flatnonzero((self._arrays["settled"] > 0.0) & (self._reported == 0.0)):
             fault = self._judge(t, int(i))

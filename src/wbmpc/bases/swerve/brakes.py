@@ -71,7 +71,6 @@ class Brakes:
 
     @property
     def states(self) -> list[State]:
-        """The state of each brake in a word."""
         return [self._word(e, w) for e, w in zip(self.engaged, self._target, strict=True)]
 
     @staticmethod

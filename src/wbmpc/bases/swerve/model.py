@@ -252,7 +252,6 @@ class SwerveBase:
         self._joints = [tree.joint(n) for group in joints.values() for n in group]
 
     def slices(self, vector: ca.SX, state: bool) -> dict[str, ca.SX]:
-        """Parts of a state or an input by group."""
         out: dict[str, ca.SX] = {}
         start = 0
         for group, names in (self.state if state else self.input).items():
@@ -261,7 +260,6 @@ class SwerveBase:
         return out
 
     def root(self, x: ca.SX) -> FramePose:
-        """Pose of the body's frame."""
         if self.quaternion:
             return FramePose(x[0:3], x[3:7], lie.quaternion_to_rotation(x[3:7]))
         up = np.array([0.0, 0.0, 1.0])

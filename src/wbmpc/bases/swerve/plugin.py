@@ -60,7 +60,6 @@ class SwerveBaseType(CommonBaseType):
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
     ) -> SwervePlant:
-        """The simulated robot at home."""
         from wbmpc.bases.swerve.plant import SwervePlant
 
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed, edit=edit)
@@ -82,7 +81,6 @@ class SwerveBaseType(CommonBaseType):
         return make_controller(robot, plant.truth().pose, period, calibration)
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
-        """Steer zeros and radii."""
         from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 
         calibrator = self.calibrator(robot)
@@ -105,7 +103,6 @@ class SwerveBaseType(CommonBaseType):
         return configurations(robot)
 
     def calibrator(self, robot: RobotModel) -> SwerveCalibrator:
-        """From encoders, gyro and global poses."""
         from wbmpc.bases.swerve.calibrator import SwerveCalibrator
 
         return SwerveCalibrator(robot)

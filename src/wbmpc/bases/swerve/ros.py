@@ -129,7 +129,6 @@ class DeferredMonitor:
 
     @property
     def real(self) -> list[BrakeFault]:
-        """As of the monitor."""
         return self.monitor.real
 
     def update(self, t: float, leg: Array, brake: Array, rate: Array, /) -> list[BrakeFault]:
@@ -138,7 +137,6 @@ class DeferredMonitor:
         return []
 
     def restart_clock(self) -> None:
-        """As of the monitor."""
         self.monitor.restart_clock()
 
     def judged(self) -> Iterator[BrakeFault]:
@@ -167,7 +165,6 @@ class BusSwerveController(SwerveController):
         self._alone = threading.Lock()  # a tick may still run while the node's thread takes over
 
     def measure(self, measurement: SwerveMeasurement) -> None:
-        """Take in the message of this tick."""
         with self._alone:
             super().measure(measurement)
 
@@ -252,7 +249,6 @@ class SwerveRosAdapter(BaseAdapter):
         return swerve_problem(self.robot, self.settings.mpc, cost, accelerations=True)
 
     def leg_commands(self, node: Node, ready: Callable[[], str], now: Callable[[], Now | None]) -> Legs | None:
-        """Of legs with brakes."""
         return None if self.brakes is None else Legs(node, self.robot, self.settings, ready, now)
 
     # ------------------------------------------------------------------ commands
@@ -261,7 +257,6 @@ class SwerveRosAdapter(BaseAdapter):
         return self._rest
 
     def groups(self, command: SwerveCommand) -> Groups:
-        """A command by groups."""
         return {g: getattr(command, g) for g in self._rest}
 
     # ------------------------------------------------------------------ states

@@ -13,7 +13,6 @@ class SwerveRosPlant(RosPlant):
     """Of speeds and brakes."""
 
     def rest(self) -> dict[str, Array]:
-        """Also of legs without brakes."""
         return {"brake": np.zeros(0)} | super().rest()
 
     def command(self, groups: dict[str, Array]) -> SwerveCommand:
@@ -21,7 +20,6 @@ class SwerveRosPlant(RosPlant):
         return SwerveCommand(**groups)
 
     def read(self) -> Reading:
-        """What the sensors say."""
         m = self.plant.measure()
         self.last = Reading({"leg": m.leg, "steer": m.steer, "wheel": m.wheel, "arm": m.arm}, m.gyro, m.accel)
         return self.last

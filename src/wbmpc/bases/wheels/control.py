@@ -111,7 +111,6 @@ class WheelsController(PlanarController):
         return self.odometry.wheels.corrected(rows)
 
     def stop(self) -> PlanarCommand:
-        """Everything at rest."""
         super().stop()
         if self.measured is not None:
             self.planned = np.array(self.measured.steer, float)

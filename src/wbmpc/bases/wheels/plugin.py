@@ -69,5 +69,4 @@ class WheelsBaseType(PlanarBaseType):
         return found
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> WheelsBase:
-        """The kinematic model."""
         return WheelsBase(description, *self.read(description, spec))
