@@ -25,7 +25,7 @@ from rich.table import Table
 
 import wbmpc
 from wbmpc.bases.swerve.plant import STEER_SPEED
-from wbmpc.benchmark.limits import iteration_times
+from wbmpc.benchmark.race import iteration_times
 from wbmpc.report import versions
 from wbmpc.simulation.lockstep import run_lockstep
 from wbmpc.solver.solution import COLUMNS

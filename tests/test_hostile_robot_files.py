@@ -11,7 +11,7 @@ import yaml
 
 from own_bases import write_base
 from wbmpc.errors import InputError
-from wbmpc.json_file import load_json
+from wbmpc.input_file import load_json
 from wbmpc.robots import load_description
 from wbmpc.robots.doctor import examine_robot
 from wbmpc.robots.file_limits import check_size

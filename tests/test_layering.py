@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "wbmpc"
 
 PACKAGES = (
-    "constants", "errors", "interrupts", "plugins", "mujoco_start", "checks", "logs", "lie", "output_file", "log", "trajectory", "types",
-    "input_file", "json_file", "yaml_file", "configuration", "settings_table", "units", "plots", "result", "result_checks", "report", "run_files",
+    "arrays", "constants", "errors", "interrupts", "plugins", "mujoco_start", "checks", "logs", "lie", "output_file", "log", "trajectory", "types",
+    "input_file", "yaml_file", "configuration", "settings_table", "units", "plots", "result", "result_checks", "report", "run_files",
     "run_index",
     "bases", "robots", "model", "stability", "obstacles", "ocp", "kernel", "clearance", "mapping", "solver", "mpc", "embedded", "control",
     "runtime", "estimation", "settings", "simulation", "default_problem", "experiment", "registry", "recording", "view", "ros2", "compare",

@@ -16,11 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.benchmark.child import within
-from wbmpc.benchmark.ours import single_iteration
+from wbmpc.benchmark.peers import Measure, to_equal_residual, within
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program, Samples, sampled
-from wbmpc.benchmark.residual import Measure, to_equal_residual
+from wbmpc.benchmark.race import single_iteration
 from wbmpc.solver import SQP, InteriorPoint
 from wbmpc.studies.race.robots import rezero_bench, swerve_bench
 from whole_race.acados_peer import Acados, AcadosProblem, NoAcados, Settings, build_description

@@ -16,11 +16,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.child import within
-from wbmpc.benchmark.ours import ONE_ITERATION, single_iteration
-from wbmpc.benchmark.peers import TOLERANCE, Prepared, nlp_solver, prepare
+from wbmpc.benchmark.peers import TOLERANCE, Prepared, nlp_solver, prepare, within
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
+from wbmpc.benchmark.race import ONE_ITERATION, single_iteration
 from wbmpc.studies.race.robots import rezero_bench
 
 BUDGETS_MS = (0.4, 1.0, 3.0, 10.0)

@@ -8,10 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.machine_speed import peak_gflops
-from wbmpc.benchmark.ours import milliseconds, single_iteration
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
+from wbmpc.benchmark.race import milliseconds, peak_gflops, single_iteration
 from wbmpc.kernel.ir import LANES
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.solver.workspace import aligned

@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 from scipy import sparse
 
-from wbmpc.benchmark.child import within
-from wbmpc.benchmark.ours import milliseconds
+from wbmpc.benchmark.peers import within
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
+from wbmpc.benchmark.race import milliseconds
 from whole_race.acados_peer import Acados, AcadosProblem, NoAcados, Settings, build_description
 from whole_race.acados_race import search
 from whole_race.lq import LQProblem, Packed, eliminate, linearize, our_step, pack, substitute

@@ -8,9 +8,9 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.ours import ours
 from wbmpc.benchmark.peers import peer_statistics, prepare
 from wbmpc.benchmark.problems import Problem, suite_bench
+from wbmpc.benchmark.race import ours
 from wbmpc.model.tree import Frame
 from wbmpc.ocp import Constraint, residuals, sets
 from wbmpc.studies.race.multibody import Multibody

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.json_file import parse_json
+from wbmpc.input_file import parse_json
 from wbmpc.recording.quantities import Columns, channel_unit
 from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING, named

@@ -200,7 +200,6 @@ def _numbers(value: Any) -> Any:
 
 
 def _types(model: type[BaseModel], key: str) -> list[Any]:
-    """The types in the annotations of a dotted key."""
     first, _, rest = key.partition(".")
     info = model.model_fields.get(first)
     if info is None:
@@ -262,7 +261,6 @@ def _kinds_first(pairs: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
 
 
 def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> list[tuple[str, Any]]:
-    """Keys and values, checked one by one."""
     valid, pairs = keys(model), []
     for assignment in assignments:
         given, value = _parse(assignment, where)

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -31,17 +31,9 @@ from wbmpc.ocp.base_residuals import UprightPart
 from wbmpc.ocp.clearance_residuals import stopping_time
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.ocp.symbols import Residual
-from wbmpc.settings import (
-    MpcSettings,
-    Settings,
-    StabilitySettings,
-    SupportMarginSettings,
-    Weight,
-    WheelLoadSettings,
-)
+from wbmpc.settings import MpcSettings, Settings, StabilitySettings, SupportMarginSettings, Weight, WheelLoadSettings
 from wbmpc.stability import StanceOf
 
-Array = NDArray[np.float64]
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.
 CLEARANCE_SLACK = 3e4
 #: Among obstacles arms fold themselves at up to so much of their full speed before pairs of their parts slow them down.

@@ -70,7 +70,6 @@ def _is_dropped(frame: FrameType | None) -> bool:
 
 
 def _came() -> list[int]:
-    """The signals that have asked for the end."""
     handlers = [(number, signal.getsignal(number)) for number in _ENDING]
     return [number for number, handler in handlers if isinstance(handler, Request) and handler.came]
 

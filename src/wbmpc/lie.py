@@ -10,9 +10,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from wbmpc.arrays import Array
+
 #: Names of a quaternion's numbers, in order.
 PARTS = ("w", "x", "y", "z")
 

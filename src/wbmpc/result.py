@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from wbmpc.log import Log
+from wbmpc.plots.figures import Drawing as Drawing
+from wbmpc.plots.figures import Plot as Plot
+from wbmpc.plots.figures import Series as Series
 from wbmpc.plots.motion import Motion
 from wbmpc.plots.notebook import figure, html_table
-from wbmpc.plots.series import Drawing as Drawing
-from wbmpc.plots.series import Plot as Plot
-from wbmpc.plots.series import Series as Series
 from wbmpc.units import scale
 
 #: How a run ended: in one word. Only the first is a success. ``declined``: the robot reported that it does not get through before it entered;

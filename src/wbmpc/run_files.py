@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.input_file import open_file
-from wbmpc.json_file import load_json
+from wbmpc.input_file import load_json, open_file
 
 #: Bytes of a log's arrays, at most: an hour of a run has about 0.5 GB.
 LARGEST_LOG = 4 * 1024**3

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import real_number
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: A horizon is at most so many times its first interval.
 LONGEST = 1e6
 #: Intervals of a problem; seconds of its horizon.

@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import absolute_time, real_numbers
-
-Array = NDArray[np.float64]
 
 #: A global pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
 POSE_AHEAD = 0.1

@@ -22,12 +22,10 @@ import pytest
 
 from effort import some
 from wbmpc.benchmark import race
-from wbmpc.benchmark.child import within
-from wbmpc.benchmark.machine_speed import peak_gflops
-from wbmpc.benchmark.ours import ours
-from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
+from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with, within
 from wbmpc.benchmark.problems import Problem, RaceProblems, suite_bench
 from wbmpc.benchmark.program import Program, compiler, run_whole
+from wbmpc.benchmark.race import ours, peak_gflops
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.studies.race.ballbot import ballbot
 from wbmpc.studies.race.small import cartpole, double_integrator

@@ -7,11 +7,10 @@ import pytest
 import scipy.sparse as sp
 from scipy.optimize import nnls
 
-from wbmpc.benchmark.ours import ours, several_iterations
-from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with
+from wbmpc.benchmark.peers import EQUAL, Measure, least_squares, peer_statistics, prepare, solve_with, to_equal_residual
 from wbmpc.benchmark.problems import suite_bench
 from wbmpc.benchmark.program import Program
-from wbmpc.benchmark.residual import EQUAL, Measure, least_squares, to_equal_residual
+from wbmpc.benchmark.race import ours, several_iterations
 from wbmpc.studies.race.small import cartpole, double_integrator
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.bases.swerve.drive_step import LEARNED_IN, MAXIMUM
-from wbmpc.bases.swerve.drives import DryFriction, Smoothing
+from wbmpc.bases.swerve.drives import LEARNED_IN, MAXIMUM, DryFriction, Smoothing
 
 PERIOD, LAG = 0.0025, 0.02
 

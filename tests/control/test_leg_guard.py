@@ -10,10 +10,9 @@ import pytest
 from toys import robot
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
-from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
+from wbmpc.bases.swerve.brake_supervision import LegGuard, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.leg_folding import LegFolding
-from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.ros import BusSwerveController, SwerveRosAdapter
 from wbmpc.errors import InputError

@@ -13,8 +13,8 @@ from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.ros import BusBallController
 from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.brake_supervision import LegGuard
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.leg_guard import LegGuard
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.ros import BusSwerveController, DeferredMonitor
 from wbmpc.control.protocols import Estimator, Fault, Monitor

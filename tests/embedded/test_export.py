@@ -18,9 +18,9 @@ from command_line import call
 from effort import draws, thorough
 from exported import LOWER, PERIOD, UPPER, Controller, trolley
 from wbmpc.embedded import check as checks
+from wbmpc.embedded.exporter import check_prefix
 from wbmpc.embedded.image import Export
 from wbmpc.embedded.interface import public_names
-from wbmpc.embedded.prefix import check_prefix
 from wbmpc.embedded.texts import _names
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.solver.controller import Result

@@ -9,12 +9,10 @@ import pytest
 from ball_states import error_between
 
 from wbmpc import lie
-from wbmpc.bases.ball.filter import BallFilter
-from wbmpc.bases.ball.filter_memory import FilterMemory
+from wbmpc.bases.ball.filter import BallFilter, FilterMemory, gate_arrays
 from wbmpc.bases.ball.filter_solve import solve_robust
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
 from wbmpc.bases.ball.filter_step import linearize
-from wbmpc.bases.ball.inertial import gate_arrays
 from wbmpc.bases.ball.joint_tracker import JointTracker
 from wbmpc.bases.base import InertialDescription
 

@@ -34,7 +34,7 @@ def test_what_wheels_contradict(backend: Backend, gyro: bool) -> None:
         contradiction += share * (residual / h - contradiction)
         velocity += share * (seen - velocity) if gyro else 0.0
         np.testing.assert_allclose(slipping._contradiction, contradiction.ravel(), atol=1e-12)
-        np.testing.assert_allclose(slipping._velocity, velocity.ravel(), atol=1e-12)
+        np.testing.assert_allclose(slipping.seen, velocity.ravel(), atol=1e-12)
         held = np.isclose(slipping.odd, HOLD)
         np.testing.assert_allclose(slipping.odd[~held], np.maximum(before - h, 0.0)[~held])
         if np.sum(contradiction**2) < CONTRADICTS**2:

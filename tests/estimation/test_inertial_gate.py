@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.bases.ball.inertial import forget, gate_arrays
+from wbmpc.bases.ball.filter import forget, gate_arrays
 from wbmpc.bases.ball.inertial_gate_step import FAULTS, Gate, judge
 from wbmpc.bases.base import InertialDescription
 from wbmpc.kernel.step import Backend, bind

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from effort import draws
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
-from wbmpc.bases.swerve.inertial_step import ACCELERATION_ZEROS, ANNOUNCED, FOLLOW, NEAR
-from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
+from wbmpc.bases.swerve.inertial_velocity import ACCELERATION_ZEROS, ANNOUNCED, FOLLOW, NEAR, InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.slipping_wheels import OVER
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration

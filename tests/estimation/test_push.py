@@ -8,8 +8,7 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.ball.balance import Balance
-from wbmpc.bases.ball.push import DEAD, PushEstimator
-from wbmpc.bases.ball.push_step import SMOOTH
+from wbmpc.bases.ball.push import DEAD, SMOOTH, PushEstimator
 from wbmpc.robots import load_spec
 
 ROBOT, H, BALL = robot("rezero"), 0.0025, 2.65

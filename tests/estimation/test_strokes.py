@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from wbmpc import lie
-from wbmpc.bases.planar_motion import strokes
-from wbmpc.bases.planar_motion.calibration import fit_errors
+from wbmpc.bases.planar_motion import calibration as strokes
+from wbmpc.bases.planar_motion.calibration import Strokes, fit_errors
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
-from wbmpc.bases.planar_motion.strokes import Strokes
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.errors import InputError
 

@@ -11,8 +11,7 @@ from effort import draws
 from wbmpc.clearance import grid_step
 from wbmpc.errors import InputError
 from wbmpc.mapping import distance_grid
-from wbmpc.mapping.distance_step import signed
-from wbmpc.mapping.distances import ERROR, DistanceTransform
+from wbmpc.mapping.distances import ERROR, DistanceTransform, signed
 
 
 @pytest.mark.parametrize("seed", range(draws(6, 100)))

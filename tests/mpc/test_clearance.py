@@ -13,7 +13,7 @@ from clearing import TrueDistance, keep_clear, reach_problem, run, write_arm
 from wbmpc.bases import base_type
 from wbmpc.bases.swerve.system import make_mpc
 from wbmpc.clearance.rows import Clearance
-from wbmpc.mpc.braking import braking_plan, braking_time
+from wbmpc.mpc.clearance import braking_plan, braking_time
 
 CYLINDER, BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
 MARGIN = 0.03

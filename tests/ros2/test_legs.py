@@ -20,7 +20,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.network import Network
-from wbmpc.ros2.statistics import rejections
+from wbmpc.ros2.publishers import rejections
 from wbmpc.stability import leg_angles
 from wbmpc.types import Observation
 

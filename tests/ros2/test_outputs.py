@@ -30,7 +30,7 @@ if not MISSING:
     from wbmpc.ros2.convert import seconds
     from wbmpc.ros2.inertial_readings import InertialReadings
     from wbmpc.ros2.joints import Inertial
-    from wbmpc.ros2.markers import LINE_STRIP, SPHERE
+    from wbmpc.ros2.publishers import LINE_STRIP, SPHERE
     from wbmpc.ros2.settings import settings_of
     from wbmpc.ros2.sim import SimNode
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from wbmpc.kernel.step import Backend, bind
-from wbmpc.simulation.arm_step import carry, keep
-from wbmpc.simulation.contact_step import near
-from wbmpc.simulation.frame_step import from_base
+from wbmpc.simulation.arm import carry, keep
+from wbmpc.simulation.contacts import near
+from wbmpc.simulation.scene import from_base
 
 BACKENDS: list[Backend] = ["compiled", "interpreted"]
 

@@ -11,7 +11,7 @@ import numpy as np
 import wbmpc as wb
 from clearing import TrueDistance
 from wbmpc.default_problem import default_mpc
-from wbmpc.ros2 import statistics
+from wbmpc.ros2 import publishers
 from wbmpc.view.core import solved
 from wbmpc.view.panel import plotted
 from wbmpc.view.replay import Film
@@ -31,18 +31,18 @@ def test_how_clear_a_plan_is_is_shown() -> None:
     said = status_text({"error": np.nan, "margin": np.nan, "triangle_margin": np.nan, **values})
     assert said == f"  \nleast clearance of the plan {1e3 * true:.0f} mm"
     node: Any = SimpleNamespace(adapter=SimpleNamespace(mpc=mpc))
-    found = statistics.plan_clearance(node)
+    found = publishers.plan_clearance(node)
     assert found["clearance of the plan"].startswith(f"{1e3 * true:.0f} mm between 'chassis' and 'post'")
     assert found["plans that stop at obstacles"] == 0
     world.clear()
     mpc.update(wb.Observation(0.02, robot.home))
-    assert "post" not in statistics.plan_clearance(node)["clearance of the plan"]
+    assert "post" not in publishers.plan_clearance(node)["clearance of the plan"]
 
 
 def test_without_obstacles_nothing_is_said_of_them() -> None:
     mpc = default_mpc(wb.load_robot("differential-ur10"))
     node: Any = SimpleNamespace(adapter=SimpleNamespace(mpc=mpc))
-    assert statistics.plan_clearance(node) == {}
+    assert publishers.plan_clearance(node) == {}
     assert np.isnan(list(solved(None).values())).all()
     title = "Least clearance of the plan [mm]"
     assert title in plotted(Controls("x", (), False, False, obstacle=True)) and title not in plotted(

@@ -359,7 +359,7 @@ def test_bad_input(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monke
     assert "--port: must be 1 to 65535, got 0" in capsys.readouterr().err
     assert main(["view", "swerv-ur10"]) == 2
     assert "did you mean 'swerve-ur10'" in capsys.readouterr().err
-    monkeypatch.setattr("wbmpc.view.window.find_spec", lambda name: None)
+    monkeypatch.setattr("wbmpc.view.core.find_spec", lambda name: None)
     assert main(["run", "swerve-track", "--view"]) == 2
     assert capsys.readouterr().err == "wbmpc: view: this needs viser: pip install 'wbmpc[viz]'\n"
 

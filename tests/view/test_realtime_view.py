@@ -212,7 +212,7 @@ def test_a_session_ends_with_the_process_of_its_page(
         threading.Timer(1.0, view.process.kill).start()
         guard.start()
 
-    monkeypatch.setattr("wbmpc.view.window.Window.start", killed)
+    monkeypatch.setattr("wbmpc.view.core.Window.start", killed)
     try:
         assert main(["view", "panda", *more, "--port", str(free_port())]) == 1
     finally:

@@ -21,8 +21,7 @@ viser = pytest.importorskip("viser")
 from viser import _messages as messages  # noqa: E402 - they come with viser
 from viser.infra._async_message_buffer import AsyncMessageBuffer  # noqa: E402
 
-from wbmpc.view.backlog import skip_replaced  # noqa: E402
-from wbmpc.view.server import open_server  # noqa: E402
+from wbmpc.view.server import open_server, skip_replaced  # noqa: E402
 
 #: Of https://github.github.com/gfm/#autolinks-extension-, as the page's Markdown looks for them in text that is no longer escaped.
 LINKS = re.compile(r"(https?://|www(?=\.))([-.\w]+)|[-.\w+]+@[-\w]+(\.[-\w]+)+", re.IGNORECASE | re.ASCII)

@@ -9,8 +9,7 @@ from scipy.spatial import ConvexHull
 from wbmpc import lie
 from wbmpc.simulation.scene import Body, Contact, Scene, Shape
 from wbmpc.view.camera import clearest
-from wbmpc.view.snapshot import ground, status_text
-from wbmpc.view.support import active_triangle, hull, margin, pressure_point
+from wbmpc.view.snapshot import active_triangle, ground, hull, margin, pressure_point, status_text
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from wbmpc.arrays import Array
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError
 
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from wbmpc.simulation.simulated_robot import SimulatedRobot
     from wbmpc.simulation.world import Edit
 
-Array = NDArray[np.float64]
 #: The group of a base's wheels, or of what drives it in their place, in commands and measurements: whether or not the model's state has it.
 WHEELS = "wheel"
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from wbmpc.arrays import Array
 
 if TYPE_CHECKING:
     import casadi as ca
 
     from wbmpc.model.wheels import ModuleGeometry
-
-Array = NDArray[np.float64]
 
 
 class SteeredFeet(Protocol):

@@ -50,7 +50,6 @@ def sampled(solver: Solver, t0: float = 0.0) -> Samples:
 
 # ---------------------------------------------------------------------- stage functions
 def _barrier(rows: list[BoxRow], z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Value, gradient and diagonal curvature of the box rows."""
     value, gradient, curvature = ca.SX(0), ca.SX.zeros(z.shape[0]), ca.SX.zeros(z.shape[0])
     for i, sign, offset, mu, delta in rows:
         norm, h = RelaxedBarrier(mu, delta), sign * z[i] + offset
@@ -78,7 +77,6 @@ def _normalized(t: Transcription, x: ca.SX) -> ca.SX:
 
 
 def _box_rows(rows: list[Row], z: ca.SX) -> ca.SX:
-    """h of the rows of single variables."""
     return ca.vertcat(*[r.sign * z[r.variable] + r.offset for r in rows]) if rows else ca.SX(0, 1)
 
 
@@ -206,11 +204,9 @@ class Program:
         return [self.x[-self.nx :], ca.DM(self.samples.p[-1]), ca.DM(self.samples.w)]
 
     def cost(self) -> ca.MX:
-        """Σ stage costs + terminal cost."""
         return ca.sum2(self.stages.cost().map(self.n)(*self._path())) + self.stages.end()[0](*self._end())
 
     def constraints(self) -> ca.MX:
-        """All rows."""
         path = self._path()
         rows = self.stages.constraint().map(self.n)(*path)
         gaps = rows[: self.nx, :] + ca.horzcat(path[0][:, 1:], self.x[-self.nx :])

@@ -3,19 +3,188 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
-from wbmpc.benchmark.limits import iteration_times
-from wbmpc.benchmark.machine_speed import matrix_product_speed, peak_gflops
-from wbmpc.benchmark.ours import ours, several_iterations
-from wbmpc.benchmark.peers import PEERS, peer, prepare
-from wbmpc.benchmark.problems import Problem, race_problems
+import numpy as np
+
+from wbmpc.benchmark.peers import PEERS, Measure, peer, prepare, to_equal_residual
+from wbmpc.benchmark.problems import Problem, race_problems, suite_bench
 from wbmpc.benchmark.program import compiler
-from wbmpc.benchmark.residual import Measure, to_equal_residual
-from wbmpc.benchmark.sizes import size_race
+from wbmpc.kernel import dense
+from wbmpc.kernel.codegen_target import compile_module, load_object, vector_budget
+from wbmpc.kernel.ir import Floats, PointerCall
+from wbmpc.kernel.library import Library
 from wbmpc.report import versions
+from wbmpc.solver import SQP, InteriorPoint, Solver
+from wbmpc.solver.workspace import aligned
+
+#: Real time, but never a second iteration in one call.
+ONE_ITERATION = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))
+
+
+def milliseconds(call: Callable[[], Any], repeat: int) -> np.ndarray:
+    """Processor time (repeat,) [ms] of calls after one that does not count: others may use the machine."""
+    call()
+    times = np.empty(repeat)
+    for i in range(repeat):
+        start = time.process_time()
+        call()
+        times[i] = 1e3 * (time.process_time() - start)
+    return times
+
+
+def single_iteration(solver: Solver, x: np.ndarray, u: np.ndarray, settings: SQP | None = None) -> Solver:
+    """A solver of the same problem with one iteration and one trial point per call, at the trajectory (x, u)."""
+    one_trial = replace(ONE_ITERATION, min_step=0.9)
+    single = Solver(solver.ocp, settings or one_trial)
+    for name, reference in solver.references.items():
+        single.set_reference(name, reference)
+    single.set_schedule(solver.schedule)
+    single.warm_start(x, u)
+    return single
+
+
+def several_iterations(problem: Problem, iterations: int, repeat: int = 5) -> tuple[float, np.ndarray, np.ndarray]:
+    """Least processor time [ms] of ``repeat`` solves of at most so many iterations from the common guess, and where they end."""
+    solver = problem.solver
+    start = solver.trajectory(copy=False)
+    few = single_iteration(solver, start.x, start.u, replace(solver.settings, iterations=iterations))
+
+    def solve() -> None:
+        few.warm_start(problem.x0, problem.u0)
+        few.reset()
+        few.run(problem.x0)
+
+    times = milliseconds(solve, repeat)
+    found = few.trajectory()
+    return float(times.min()), found.x, found.u
+
+
+def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+    """Solution (x, u) from the common guess and figures: least time of an iteration (warm, trial point included) and of
+    five solves to convergence, with the certificate's residuals."""
+    solver, total = problem.solver, np.inf
+    for _ in range(6):  # the first does not count
+        solver.warm_start(problem.x0, problem.u0)
+        solver.reset()
+        start = time.process_time()
+        solver.run(problem.x0)
+        total = min(total, time.process_time() - start)
+    solver.warm_start(problem.x0, problem.u0)
+    solver.reset()
+    solution = solver.solve(problem.x0)
+    single = single_iteration(solver, solution.x, solution.u)
+    times = milliseconds(lambda: single.run(problem.x0), repeat)
+    return solution.x, solution.u, {
+        "success": solution.status.name == "CONVERGED",
+        "iterations": solution.iterations,
+        "total_ms": 1e3 * total,
+        "iteration_ms": float(np.min(times)),
+        "iteration_ms_median": float(np.median(times)),
+        "kkt": solution.kkt,
+        "violation": solution.violation,
+    }  # fmt: skip
+
+
+def size_race(repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
+    rows = []
+    for name, (make, published, goal) in race_problems().sizes.items():
+        note(name)
+        problem = suite_bench(make())
+        t, figures = problem.solver.problem, ours(problem, repeat)[2]
+        best = figures["iteration_ms"]
+        rows.append(
+            {
+                "problem": problem.name,
+                "nx": t.nx,
+                "nu": t.nu,
+                "intervals": t.ocp.intervals,
+                "rows": t.equality.shape[0],
+                "success": figures["success"],
+                "iteration_ms": best,
+                "ocs2_ms": published,
+                "ratio": published / best,
+                "goal": goal,
+            }
+        )
+    return rows
+
+
+LIBRARY = Library("machine speed")
+call4 = PointerCall(4)
+
+
+compiled = LIBRARY.compiled
+
+
+@compiled
+def repeat_product(address: int, a: Floats, b: Floats, c: Floats, count: int) -> None:
+    """One matrix product many times."""
+    for _ in range(count):
+        call4(address, a.ctypes.data, b.ctypes.data, c.ctypes.data, c.ctypes.data)
+
+
+@cache
+def peak_gflops(inner: int = 48) -> float:
+    """GFLOP/s of one core on products (24 × ``inner``)(``inner`` × 48) in the first-level cache, by our own kernel."""
+    ir = dense.FMA + "\n" + dense.matrix_product("peak", 3, 48, inner, 24, inner, 1, 24, None, False, vector_budget())
+    engine = load_object(compile_module(ir))
+    a, b, c = aligned(24 * inner), aligned(48 * inner), aligned(24 * 48)
+    a[:], b[:], count = 1.0, 1.0, 1000
+    address = engine.get_function_address("peak")
+    times = milliseconds(lambda: repeat_product(address, a, b, c, count), 20)
+    return float(2 * 24 * 48 * inner * count / times.min() / 1e6)
+
+
+def matrix_product_speed() -> float:
+    """GFLOP/s of one core on products of 512 x 512 matrices by NumPy's BLAS."""
+    a = np.random.default_rng(0).normal(size=(512, 512))
+    return float(2 * 512**3 / milliseconds(lambda: a @ a, 5).min() / 1e6)
+
+
+def _milliseconds(solver: Solver, x0: np.ndarray) -> float:
+    """Least of eight medians of an iteration's time, each of 25."""
+    solver.solve(x0)
+    medians = []
+    for _ in range(8):
+        times = []
+        for _ in range(25):
+            start = time.process_time()
+            solver.run(x0)
+            times.append(time.process_time() - start)
+        medians.append(float(np.median(times)))
+    return 1e3 * min(medians)
+
+
+def _without_limits(problem: Problem, settings: SQP) -> Solver:
+    """The same problem and references with its inequalities taken out."""
+    solver_of_problem = problem.solver
+    for term in solver_of_problem.ocp.inequalities:
+        del solver_of_problem.ocp.terms[term.name]
+    solver = Solver(solver_of_problem.ocp, settings)
+    solver.references, solver.schedule = solver_of_problem.references, solver_of_problem.schedule
+    start = solver_of_problem.trajectory(copy=False)
+    solver.warm_start(start.x, start.u)
+    return solver
+
+
+def iteration_times() -> dict[str, dict[str, float]]:
+    """Of each robot: an iteration [ms] with hard limits, without limits, and the ratio."""
+    settings = SQP.real_time(interior_point=InteriorPoint("real_time", max_extra_iterations=0))
+    settings = replace(settings, min_step=0.9)  # one trial point in both
+    out = {}
+    for name, make in race_problems().limited.items():
+        problem = make(settings)
+        hard = _milliseconds(problem.solver, problem.x0)
+        free = _milliseconds(_without_limits(make(settings), settings), problem.x0)
+        out[name] = {"hard_ms": hard, "unlimited_ms": free, "ratio": hard / free}
+    return out
+
 
 #: Least factor by which we want to be faster to the common residual than the fastest full solver, and in a step than the
 #: fastest QP solver; most that hard limits may cost; most against C.

@@ -92,7 +92,6 @@ NOTES = (
 
 
 def text(figures: dict[str, Any], width: int = 118, more: Sequence[Table] = (), first: Sequence[Table] = ()) -> str:
-    """Tables, notes and the machine, as text."""
     console = Console(file=StringIO(), width=width)
     for table in tables(figures, more, first):
         console.print(table)

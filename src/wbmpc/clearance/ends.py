@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance.nearest import Finder, Nearest, Poses
 from wbmpc.obstacles.shapes import DistanceGrid
 from wbmpc.obstacles.world import Snapshot
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 #: By how much [rad] frames are turned: faces that lean more against each other have a nearest point that stays.
 TILT = 0.05

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks
+from wbmpc.arrays import Array
 from wbmpc.clearance.nearest import Finder, Poses
 from wbmpc.errors import InputError, NoRoute
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Obstacles, Snapshot
 
-Array = NDArray[np.float64]
 Node = tuple[int, int, int]
 _QUARTER = np.array([(1, 0), (2, 1), (1, 1), (1, 2)])
 _TURNED = _QUARTER[:, ::-1] * [-1, 1]

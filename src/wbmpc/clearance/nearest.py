@@ -7,18 +7,32 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance import grid_step
-from wbmpc.clearance.kinematics import CompiledKinematics
 from wbmpc.clearance.table import SolidTable
 from wbmpc.errors import unknown_name
-from wbmpc.obstacles.geometry import RobotGeometry
+from wbmpc.kernel.function import CompiledFunction
+from wbmpc.model.robot import RobotModel
+from wbmpc.model.tree import Frame
+from wbmpc.obstacles.geometry import RobotGeometry, frame_function, split_poses
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.solids import Solid
 from wbmpc.obstacles.world import Obstacle, Snapshot
 
-Array = NDArray[np.float64]
+
+class CompiledKinematics:
+    """As :class:`wbmpc.obstacles.geometry.Kinematics`: positions (n, F, 3) [m] and rotations (n, F, 3, 3), contiguous ones."""
+
+    def __init__(self, robot: RobotModel, frames: Sequence[Frame]) -> None:
+        self._size = robot.state.size
+        self._function = CompiledFunction(frame_function(robot, frames))
+
+    def __call__(self, states: Array) -> tuple[Array, Array]:
+        """Of states (n, nx or more: what a problem adds comes after the robot's own)."""
+        return split_poses(self._function(np.atleast_2d(states)[:, : self._size]))
+
+
 #: Nearest points of a frame and a distance grid, in different directions.
 SIDES = 2
 
@@ -86,7 +100,6 @@ class Finder:
         return out
 
     def _indices(self, obstacle: Obstacle) -> list[int]:
-        """Of the frames that may touch an obstacle."""
         for name in obstacle.ignore:
             if name not in self.geometry.frames:
                 where = f"obstacle '{obstacle.name}', ignore"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance.ends import other_ends
 from wbmpc.clearance.nearest import Finder, Nearest, Poses
 from wbmpc.clearance.own_pairs import OwnPairs
@@ -22,7 +23,6 @@ from wbmpc.ocp.clearance_residuals import WIDTH
 from wbmpc.ocp.clearance_residuals import Clearance as ObstacleTerm
 from wbmpc.ocp.clearance_residuals import SelfClearance as SelfTerm
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 #: Obstacles farther than this [m] beyond the margin have no rows.
 REACH = 0.5

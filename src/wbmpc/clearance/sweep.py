@@ -12,12 +12,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance.nearest import Finder, Nearest, Poses, turned
 from wbmpc.obstacles.geometry import RobotGeometry
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.world import Obstacle, Snapshot
 
-Array = NDArray[np.float64]
 #: Motion between two states that are checked [m], and how many between two nodes at most.
 STEP, MAX_CHECKS = 0.08, 8
 #: Frames that move less than this [m] in an interval are not checked between nodes: it is more than the margin lacks by.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance import pairs_step
 from wbmpc.clearance.pairs_step import Gaps
 from wbmpc.clearance.simplex_step import Work
@@ -17,7 +18,6 @@ from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.geometry import RobotGeometry
 from wbmpc.obstacles.solids import KINDS, Solid
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 #: Closer than this [m] nearest points do not show a direction.
 _TOUCH = 1e-7

@@ -27,8 +27,7 @@ RECORD_LIMIT = "2GB"
 RecordLimit = Annotated[
     str,
     typer.Option(
-        metavar="SIZE",
-        help="Largest recording on the disk, as 500MB or 2GB; beyond it the oldest half is replaced.",
+        metavar="SIZE", help="Largest recording on the disk, as 500MB or 2GB; beyond it the oldest half is replaced."
     ),
 ]
 _UNITS = {"B": 1, "KB": 1_000, "MB": 1_000_000, "GB": 1_000_000_000, "TB": 1_000_000_000_000}

@@ -98,7 +98,7 @@ def ros2_control(
     """Run the controller as a node; it waits for joint states and a goal."""
     node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode
-    from wbmpc.ros2.statistics import collect_statistics
+    from wbmpc.ros2.publishers import collect_statistics
     from wbmpc.simulation.lockstep import interrupt_noted
 
     try:

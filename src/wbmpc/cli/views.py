@@ -61,8 +61,7 @@ def view(
     ],
     seed: Annotated[int, typer.Option(help="Seed of the plant and of all noise.")] = 200,
     realtime: Annotated[
-        bool,
-        typer.Option("--realtime", help="Run controller, MPC and physics in real time; the run cannot be paused."),
+        bool, typer.Option("--realtime", help="Run controller, MPC and physics in real time; the run cannot be paused.")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Directory for a recording (default: no recording).")] = None,
     host: Host = LOCAL,

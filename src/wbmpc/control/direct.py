@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
@@ -15,8 +15,6 @@ from wbmpc.types import Observation
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
     from wbmpc.mpc.mpc import MPC
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

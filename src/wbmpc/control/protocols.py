@@ -1,22 +1,41 @@
 """What controllers are made of: the protocols that loops, real-time runners and base types ask, and nothing else.
 
 A controller is assembled from parts: an estimator, monitors, the prediction over the delay, the law that follows a policy.
+
+Monitors: they compare what is commanded with what is measured, and report faults. One protocol for all of them.
+
+A monitor decides nothing: who assembles a controller says what a fault does (a message, another plan, a stop).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.control.monitor import Fault, Monitor
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
+
+
+@runtime_checkable
+class Fault(Protocol):
+    """Something that a monitor has found at ``time`` [s]; ``str()`` is the message to a user."""
+
+    @property
+    def time(self) -> float: ...
+
+
+@runtime_checkable
+class Monitor(Protocol):
+    """``update`` takes in what a monitor compares, and returns the faults that are new since the last time."""
+
+    def update(self, *readings: Any) -> Sequence[Fault]: ...
+
 
 __all__ = ["Controller", "Estimator", "Fault", "Monitor", "RobotController"]
 

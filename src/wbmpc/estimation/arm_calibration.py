@@ -8,14 +8,14 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.checks import is_covariance, positive
 from wbmpc.errors import InputError
 from wbmpc.estimation.calibration_file import ARM_KEYS, read_calibration, read_rows
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Standard deviation [rad or m] of an uncalibrated zero; Gauss-Newton steps.
 ZERO_STD, PASSES = 2e-3, 5
 #: Positions that miss by more than this many standard deviations, root mean square, contradict the arm.

@@ -11,14 +11,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import finite, not_negative, numbers, positive, positive_time
 from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability import StanceOf
 
-Array = NDArray[np.float64]
 _WHO = "floor friction"
 #: Time [s] over which accelerations are averaged; speed [m/s] of a wheel against the base's at which it slides; for how long [s] it has to
 #: before that counts, and to roll before a slip is over.

@@ -15,13 +15,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.model.numeric import Numeric
-
-Array = NDArray[np.float64]
 
 
 class OffsetObserver:

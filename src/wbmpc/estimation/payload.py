@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.checks import finite, not_negative, numbers
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import Chain, constant
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 _WHO = "payload estimator"
 #: Time [s] between two weighings; largest speed of a joint [rad/s or m/s] and of the base's turn [rad/s] of a robot that is weighed: beyond
 #: them the arm's own inertia counts.

@@ -85,7 +85,6 @@ declare i1 @llvm.vector.reduce.and.v{LANES}i1({_LLVM[MASK]}) nounwind memory(non
 
 
 def llvm_type(kind: Type) -> str:
-    """The LLVM type of a type."""
     return _LLVM[kind] if isinstance(kind, str) else "{" + ", ".join(_LLVM[k] for k in kind) + "}"
 
 

@@ -305,7 +305,6 @@ class Library:
         return {name: library.address(name) for library, name in names}
 
     def address(self, symbol: str) -> int:
-        """Where a function is."""
         self.build()
         found = self._engine.get_function_address(symbol)
         if found == 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from wbmpc.clearance import compilation
 from wbmpc.kernel.library import Library
 
-_STEPS = ("distance_step", "rays_step", "body_step")
+_STEPS = ("distances", "rays_step", "local_map")
 LIBRARY = Library(
     "maps",
     packages=("mapping", "clearance", "kernel"),

@@ -8,16 +8,69 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc import checks
+from wbmpc.arrays import Array
+from wbmpc.clearance.support_step import beyond
 from wbmpc.errors import InputError, SensorFailure
-from wbmpc.kernel.ir import LANES
-from wbmpc.mapping.body import BodyFilter
+from wbmpc.kernel.ir import LANES, Floats, Integers
+from wbmpc.mapping.compilation import compiled
 from wbmpc.mapping.distances import ERROR, DistanceTransform
-from wbmpc.mapping.rays_step import FREE, OCCUPIED, SOLID, add_scan, settle
+from wbmpc.mapping.rays_step import FREE, OCCUPIED, OWN, SOLID, add_scan, settle
 from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.shapes import LARGEST, MAX_CELLS, DistanceGrid
+from wbmpc.obstacles.solids import KINDS
 from wbmpc.obstacles.world import Obstacles
 
-Array = NDArray[np.float64]
+
+@compiled
+def mark_own(
+    n: int, points: Floats, shapes: int, kind: Integers, size: Floats, around: Floats, place: Floats, axes: Floats,
+    padding: float, found: Integers,
+) -> None:  # fmt: skip
+    """``found`` (n) of points (n, 3) that are within ``padding`` [m] of a solid becomes :data:`OWN`. Solids: ``kind`` and ``size`` as in
+    :mod:`wbmpc.clearance.support_step`, radius ``around`` their centers ``place`` (s, 3), ``axes`` (s, 3, 3)."""
+    for p in range(n):
+        for s in range(shapes):
+            x, y, z = (
+                points[3 * p] - place[3 * s],
+                points[3 * p + 1] - place[3 * s + 1],
+                points[3 * p + 2] - place[3 * s + 2],
+            )
+            reach, r = around[s] + padding, 9 * s
+            if x * x + y * y + z * z > reach * reach:
+                continue
+            inside = beyond(
+                s, kind, size,
+                axes[r] * x + axes[r + 3] * y + axes[r + 6] * z,
+                axes[r + 1] * x + axes[r + 4] * y + axes[r + 7] * z,
+                axes[r + 2] * x + axes[r + 5] * y + axes[r + 8] * z,
+            )  # fmt: skip
+            if inside <= padding:
+                found[p] = OWN
+                break
+
+
+class BodyFilter:
+    """Finds points of a robot's own shapes. ``padding`` [m]: what is so near to one belongs to it."""
+
+    def __init__(self, robot: RobotModel, padding: float) -> None:
+        self._geometry, self._padding = robot_geometry(robot), padding
+        solids = [s.solid for s in self._geometry.shapes]
+        self._kind = np.array([KINDS.index(s.kind) for s in solids], np.int64)
+        self._size = np.array([s.size for s in solids], float).ravel()
+        self._around = np.array([s.radius for s in solids])
+
+    def mark(self, points: Array, kind: NDArray[np.int64], state: Array) -> None:
+        """Mark points (n, 3) [m] of the robot in a state (nx) in ``kind`` (n)."""
+        geometry = self._geometry
+        centers, axes = geometry.at(*geometry.kinematics(state[None]))
+        flat = [np.ascontiguousarray(a).reshape(-1) for a in (points, centers[0], axes[0])]
+        mark_own(
+            len(points), flat[0], len(self._kind), self._kind, self._size, self._around, flat[1], flat[2],
+            self._padding, kind,
+        )  # fmt: skip
+
+
 #: The window moves when the sensor is farther [m] than this from its middle; distances up to this [m] are exact, others are so much.
 MOVES, FARTHEST = 0.5, 1.0
 #: Points farther than so many ranges are no measurements.

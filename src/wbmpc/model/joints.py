@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.model.layout import Layout
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Base
     from wbmpc.robots.description import RobotDescription
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases import base_type
 from wbmpc.bases.base import Base
 from wbmpc.bases.optional import HasJacobian, HasUnits
@@ -21,7 +22,6 @@ from wbmpc.model.layout import Layout
 from wbmpc.model.numeric import Numeric
 from wbmpc.robots import RobotDescription, load_description, load_spec
 
-Array = NDArray[np.float64]
 #: Numbers of a pose in the plane.
 POSE_SIZE = 3
 

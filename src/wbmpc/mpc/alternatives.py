@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import absolute_time
 from wbmpc.clearance.lattice import Footprint, turn_go_turn, unwrapped
 from wbmpc.errors import InputError
@@ -26,15 +27,7 @@ from wbmpc.mpc.clearance import TOLERATED
 from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.pace import PacedReferences
-from wbmpc.mpc.route import (
-    base_part,
-    carried_states,
-    carrying_base,
-    set_carried,
-    swung_poses,
-    timed_route,
-    weigh_base,
-)
+from wbmpc.mpc.route import base_part, carried_states, carrying_base, set_carried, swung_poses, timed_route, weigh_base
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import ModeSchedule, Reference
 from wbmpc.solver import Solver
@@ -44,7 +37,6 @@ if TYPE_CHECKING:
     from wbmpc.bases.base import Reshaping
 
 _LOG = logging.getLogger("wbmpc")
-Array = NDArray[np.float64]
 #: References whose time goes on at less than this rate wait; who waits so long [s] starts a search; where it found nothing, the next one
 #: starts so much later [s], and behind a winner, who may have to turn first, so much.
 WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 0.5, 3.0

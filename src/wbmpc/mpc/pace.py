@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.checks import absolute_time, numbers
 from wbmpc.errors import InputError
 from wbmpc.ocp import Reference
@@ -15,7 +16,6 @@ from wbmpc.ocp import Reference
 if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
 
-Array = NDArray[np.float64]
 #: Distance [m] of the end effector from its reference up to which time runs freely, and from which on it stands.
 FREE, STANDING = 0.04, 0.2
 #: What a plan may lack [m] of a margin at no cost, and what more of it stops the time.

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import not_negative, positive
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.augment import WithPath
@@ -18,7 +18,6 @@ from wbmpc.ocp import OptimalControlProblem, Path, Reference
 from wbmpc.ocp.symbols import FollowsPath
 from wbmpc.solver import Solver, Trajectory
 
-Array = NDArray[np.float64]
 #: References along a path: values (n, width) at arc lengths s (n) [m].
 Along = Callable[[Array], Array]
 #: Near its end the desired speed falls in proportion to what is left [1/s]: that ends a plan softly, within a second.

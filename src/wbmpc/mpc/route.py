@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.checks import absolute_time, positive, real_numbers
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
     from wbmpc.solver import Solver
 
-Array = NDArray[np.float64]
 #: Of the end effector's weight per m², what the base's place gets; and the length [m] at which an angle of it counts as much.
 SHARE, LENGTH = 0.1, 0.5
 #: A route takes so long at least [s]; interval [s] of its references.

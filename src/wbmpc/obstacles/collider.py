@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.obstacles.solids import Solid
 
-Array = NDArray[np.float64]
 _GEOMS = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,

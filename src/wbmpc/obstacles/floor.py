@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import constant
 from wbmpc.model.robot import RobotModel
@@ -15,7 +15,6 @@ from wbmpc.model.tree import Frame
 from wbmpc.obstacles.geometry import RobotGeometry, path_of, rigid_link, robot_geometry
 from wbmpc.obstacles.pairs import HOME_SHARE, draw_states
 
-Array = NDArray[np.float64]
 #: States that are drawn to see what comes near the floor, and edges of boxes below which they are rounded, as a share.
 SAMPLES, ROUNDED = 400, 0.01
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Frame
@@ -26,7 +27,6 @@ from wbmpc.robots.inertia import replace_inertias
 from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import file_of, parse
 
-Array = NDArray[np.float64]
 _KINDS = {
     mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
     mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
@@ -320,5 +320,4 @@ def common_link(robot: RobotModel, first: int, second: int) -> int:
 
 
 def link_frames(links: Sequence[int]) -> list[Frame]:
-    """Frames at links."""
     return [Frame(link, np.zeros(3), np.eye(3)) for link in links]

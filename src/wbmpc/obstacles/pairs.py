@@ -9,15 +9,14 @@ from itertools import combinations
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.geometry import RobotGeometry, path_of, rigid_link, robot_geometry
 from wbmpc.robots.findings import Finding
 
-Array = NDArray[np.float64]
 Pair = tuple[str, str]
 #: States that are drawn, and the distance [m] beyond which a pair is not near.
 SAMPLES, NEAR = 600, 0.10

@@ -7,16 +7,16 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import checks, lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.obstacles import solids
 from wbmpc.obstacles.solids import Solid
 
 __all__ = ["Box", "Capsule", "ConvexMesh", "Cylinder", "DistanceGrid", "HalfSpace", "Shape", "Sphere"]
 
-Array = NDArray[np.float64]
 #: Corners of a convex mesh, and cells of a grid, at most.
 MAX_VERTICES, MAX_CELLS = 10_000, 50_000_000
 #: Lengths [m] and speeds [m/s] of what a robot may meet: squares of larger ones are no longer distances. Less is no solid.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from wbmpc.arrays import Array
+
 #: Kinds of a :class:`Solid`, as MuJoCo calls and sizes them.
 KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 _NONE = np.zeros((0, 3))

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import checks, lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError, SensorFailure, unknown_name
 from wbmpc.obstacles.scene import read_scene
 from wbmpc.obstacles.shapes import (
@@ -26,7 +27,6 @@ from wbmpc.obstacles.shapes import (
     unit_quaternion,
 )
 
-Array = NDArray[np.float64]
 _SHAPES = {c.__name__: c for c in (Sphere, Capsule, Cylinder, Box, HalfSpace, ConvexMesh, DistanceGrid)}
 #: The frame of the robot's own plans: that of :meth:`wbmpc.model.robot.RobotModel.pose`.
 WORLD = "world"
@@ -172,10 +172,7 @@ class Obstacles:
         who = f"frame '{name}'"
         if not isinstance(name, str) or name == WORLD:
             raise InputError(f"{who}: another name than '{WORLD}' is needed")
-        pose = (
-            checks.numbers(who, "position", position, 3).copy(),
-            unit_quaternion(who, "orientation", orientation),
-        )
+        pose = (checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation))
         checks.at_most(who, LARGEST, position=pose[0])
         with self._lock:
             self._frames[name] = pose

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.optional import HasAcceleration
 from wbmpc.errors import InputError
 from wbmpc.model.augment import InputRate
@@ -24,7 +24,6 @@ from wbmpc.ocp.residuals import AccelerationLimit, ProblemInput
 from wbmpc.ocp.symbols import Symbols, Wrapping
 from wbmpc.ocp.terms import Constraint, Cost
 
-Array = NDArray[np.float64]
 #: Rate κ [1/s] at which wheels that slip sideways in a plan come to roll, and softness of such rows. (With κ = 5 and 1e-4 plans slip by
 #: several cm/s.)
 RETURN_RATE, SOFTNESS = 20.0, 1e-5

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.checks import real_numbers, unit_quaternions
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-Array = NDArray[np.float64]
 #: Numbers of a path near a point: arc length, position, tangent, curvature vector, quaternion, turning, where it begins and ends.
 WIDTH = 19
 #: The end [m] of a path without one.

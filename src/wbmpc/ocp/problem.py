@@ -144,8 +144,8 @@ class OptimalControlProblem:
 
     def plot(self) -> Any:
         """Its grid as a Plotly figure: how long each interval is, over the horizon."""
+        from wbmpc.plots.figures import Plot, Series
         from wbmpc.plots.notebook import figure
-        from wbmpc.plots.series import Plot, Series
 
         held = np.repeat(self.grid, 2)[1:-1]
         lines = [Series("interval", held, np.repeat(1e3 * np.diff(self.grid), 2))]

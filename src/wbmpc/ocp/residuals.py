@@ -98,11 +98,7 @@ class _Component:
         raise NotImplementedError
 
     def __init__(
-        self,
-        robot: RobotModel,
-        names: Sequence[str] | None = None,
-        *,
-        reference: Literal["tracked"] | None = "tracked",
+        self, robot: RobotModel, names: Sequence[str] | None = None, *, reference: Literal["tracked"] | None = "tracked"
     ) -> None:
         object.__setattr__(self, "robot", robot)
         object.__setattr__(self, "names", names)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from wbmpc.arrays import Array
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Half range [rad] of a continuous joint; largest speed [rad/s] of one without a limit.
 _TURNS, _FAST = np.pi, 2.0
 #: Numbers of a pose, and of one in the plane.

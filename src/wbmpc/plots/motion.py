@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-Array = np.ndarray
+from wbmpc.arrays import Array
+
 #: Pictures per second of a run at first; pictures in all, and numbers in them, at most: with more, every second one is left out.
 RATE, PICTURES, NUMBERS = 10.0, 2400, 1_500_000
 #: Points of a predicted path.

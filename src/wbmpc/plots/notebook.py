@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.plots.figures import hint, plotly_figure
-from wbmpc.plots.series import Plot, Series
+from wbmpc.plots.figures import Plot, Series, hint, plotly_figure
 from wbmpc.units import by_unit, with_unit
 
 #: Height of a plot in a figure [pixels].
@@ -17,7 +16,6 @@ _HEIGHT = 260
 
 
 def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A titled table of texts, which stay texts."""
     line = lambda tag, cells: (
         f"<tr>{''.join(f'<{tag} style=text-align:left>{html.escape(str(c))}</{tag}>' for c in cells)}</tr>"
     )

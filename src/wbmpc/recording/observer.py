@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.model.layout import Layout
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -21,7 +22,6 @@ from wbmpc.robots.frames import BASE, frame_names
 from wbmpc.simulation.lockstep import Running
 from wbmpc.simulation.scene import SceneReader
 
-Array = np.ndarray
 #: Points of a plan that is shown or written.
 PLAN_POINTS = 31
 

@@ -92,7 +92,6 @@ class QuickWriter(Writer):
             self.chunks, self._filled = self._statistics.chunk_count, 0
 
     def _pack(self) -> None:
-        """The messages that are kept go into the chunk."""
         chunk, seen = self._chunk, self._statistics
         if not self._kept:
             return
@@ -118,7 +117,6 @@ class QuickWriter(Writer):
         self._kept.clear()
 
     def _messages(self) -> list[_Message]:
-        """All that is kept, in its order."""
         alike: dict[Topics, list[int]] = {}
         made: list[list[_Message]] = []
         for i, kept in enumerate(self._kept):

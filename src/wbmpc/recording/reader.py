@@ -15,8 +15,7 @@ from mcap.records import Attachment, Channel, Footer, McapRecord, Metadata, Sche
 from mcap.records import Message as Record
 
 from wbmpc.errors import InputError, unknown_name
-from wbmpc.input_file import read_file
-from wbmpc.json_file import parse_json
+from wbmpc.input_file import parse_json, read_file
 from wbmpc.recording.messages import DEFINITIONS, decode, fields, numbers
 from wbmpc.recording.records import MAGIC, records
 from wbmpc.recording.writer import older_part

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.plots.motion import Motion, picture_points
 from wbmpc.recording.messages import Message
@@ -34,7 +35,6 @@ STATES, LINKS, PLANS = 100.0, 50.0, 10.0
 #: A second loop of the same run follows this long [s] after the first in the file.
 PAUSE = 1.0
 
-Array = np.ndarray
 #: A pose (7) that changes nothing; where a pose's numbers are in ROS's order.
 NOWHERE, _ROS_ORDER = np.array([0.0, 0, 0, 1, 0, 0, 0]), np.array([0, 1, 2, 4, 5, 6, 3])
 

@@ -10,9 +10,8 @@ from typing import Any
 
 from wbmpc.errors import NotWritten
 from wbmpc.output_file import write_text
-from wbmpc.report.plain import plain
 from wbmpc.report.provenance import versions
-from wbmpc.report.run_page import page
+from wbmpc.report.run_page import page, plain
 from wbmpc.result import MpcStatistics, RunResult
 
 #: Name of the recording in a run's directory.

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.plots.motion import Motion, Part
 from wbmpc.report.document import beside
 
-Array = np.ndarray
 #: Whole numbers of 16 bits stand for positions between two ends, and for components of quaternions; this one for no number.
 _FULL, _NONE = 32766, -32768
 #: Positions farther away [m] are drawn there.

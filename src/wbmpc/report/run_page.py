@@ -6,14 +6,28 @@ import html
 import json
 import math
 from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 
 from wbmpc.plots.figures import figure
 from wbmpc.report.document import document, named, table
-from wbmpc.report.plain import plain
 from wbmpc.report.provenance import commit, versions
 from wbmpc.report.replay import replay
 from wbmpc.result import Drawing, Metric, MpcStatistics, Plot, RunResult
 from wbmpc.units import Scale, number, scale
+
+
+def plain(value: Any) -> Any:
+    """What JSON can hold: a figure that is not finite is null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
 
 #: What solve times are called, by their key in the statistics.
 _SOLVE_TIMES = {"median solve": "median", "95 % below": "p95", "longest": "max"}

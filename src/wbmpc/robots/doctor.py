@@ -66,7 +66,6 @@ def examine_robot(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What loading logs is among the findings."""
     log = logging.getLogger(load_description.__module__)
     before, log.disabled = log.disabled, True
     try:
@@ -120,7 +119,6 @@ def _of_model(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
 
 
 def _bases(subject: Subject) -> Iterator[Finding]:
-    """Which base types would describe the robot."""
     proposals = propose_bases(subject)
     for name, proposal in proposals.items():
         if proposal.fit >= 0.5:

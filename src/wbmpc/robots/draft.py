@@ -97,7 +97,6 @@ class Draft:
 
     @property
     def wheels(self) -> list[Wheel]:
-        """The driven ones, of the radius that is answered."""
         radius = self.answers.get("wheel_radius")
         return [w if radius is None else replace(w, radius=radius, assumed=False) for w in self.subject.driven]
 

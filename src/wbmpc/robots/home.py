@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.robots.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 #: Postures that are tried, of which so many of the best are checked for collisions.
 TRIED, LOOKED_AT = 2000, 40
 #: Share of each range, at both ends, that a home keeps away from; half range [rad] of a continuous joint.

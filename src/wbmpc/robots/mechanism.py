@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.robots.actuation import Drive, read_drives
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.findings import Finding
@@ -17,7 +16,6 @@ from wbmpc.robots.inertia import replace_inertias, violates_triangle_inequality
 from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import ModelFile, parse
 
-Array = NDArray[np.float64]
 _KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 
 
@@ -102,7 +100,6 @@ class Mechanism:
         return [m.joint(j).name for j in joints if mujoco.mjtJoint(int(m.jnt_type[j])) in _KINDS and m.joint(j).name]
 
     def joints_of(self, body: int) -> tuple[str, ...]:
-        """Named joints between the world and a body."""
         m, found = self.model, list[str]()
         while body > 0:
             first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
@@ -115,7 +112,6 @@ class Mechanism:
         return [j.name for j in self.joints.values() if joint in j.above]
 
     def parent(self, body: str) -> str:
-        """Name of the parent of a body."""
         return str(self.model.body(int(self.model.body_parentid[self.model.body(body).id])).name)
 
     def path(self, body: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from copy import copy, deepcopy
@@ -20,7 +21,6 @@ from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
 from wbmpc.robots.file_limits import LARGEST, LARGEST_MESH, check_size
 from wbmpc.robots.limited_program import drop_missing_files
-from wbmpc.robots.mujoco_warnings import log_warnings
 from wbmpc.robots.packages import find_package, locate, package_of
 from wbmpc.robots.trial import try_model
 from wbmpc.robots.urdf_tree import check_tree
@@ -29,6 +29,13 @@ from wbmpc.robots.xml_text import tokens
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
+
+_LOG = logging.getLogger(__name__)
+
+
+def log_warnings() -> None:
+    mujoco.set_mju_user_warning(lambda text: _LOG.warning("MuJoCo: %s", text))
+
 
 #: Meshes that MuJoCo reads.
 MESHES = (".stl", ".obj", ".msh")

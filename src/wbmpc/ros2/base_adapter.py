@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.control.protocols import Controller
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Bound, Guess
@@ -17,12 +18,12 @@ from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.terms import Weight
 from wbmpc.ros2.bus import Node
+from wbmpc.ros2.convert import upright
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.solver import Trajectory
 
-Array = np.ndarray
 #: Weights of costs, by name and place (path or terminal).
 Weights = dict[tuple[str, Literal["path", "terminal"]], Weight]
 Groups = dict[str, Array]
@@ -155,6 +156,16 @@ def spatial_covariance(planar: Array) -> Array:
     out = np.diag([0.0, 0.0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0.0])
     out[np.ix_([0, 1, 5], [0, 1, 5])] = planar
     return out
+
+
+def planar_estimate(pose: Array, twist: Array, height: float, covariance: Array, twist_covariance: Array) -> Estimate:
+    """Of a base at ``pose`` (x, y, yaw) with ``twist`` (vx, vy, ω) in its axes, both with covariances (3, 3), at a ``height`` [m]; the rest
+    is unknown."""
+    position, orientation = upright(pose, height)
+    spatial = np.array([twist[0], twist[1], 0.0, 0.0, 0.0, twist[2]])
+    return Estimate(
+        position, orientation, spatial, spatial_covariance(covariance), spatial_covariance(twist_covariance)
+    )
 
 
 def obstacles_of(settings: RosSettings) -> Obstacles | None:

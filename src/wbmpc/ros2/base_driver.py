@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
@@ -15,7 +16,6 @@ from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import header, planar, pose, read_pose, read_vector, seconds, vector
 from wbmpc.ros2.joints import SPEED_FACTOR, SPEED_REST, JointSample
 
-Array = np.ndarray
 #: Between two messages the way goes on with the speed of the last one for so long [s] at most.
 HELD = 0.1
 #: A way over a silence is at most so many times as long as the line between its ends: after whole turns nothing is known of it.

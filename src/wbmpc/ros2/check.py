@@ -182,7 +182,6 @@ def _balancing(topic: str, rate: float, target: float) -> list[Finding]:
 
 
 def _brakes(robot: RobotModel, controllers: dict[str, Controller]) -> list[Finding]:
-    """Of legs with brakes, which need no commands."""
     brakes = [f"{group}/{n}" for group, held in robot.base.brakes.items() for n in robot.input.groups[held]]
     left = [name for name in brakes if not any(name in c.joints for c in controllers.values())]
     if not left:
@@ -203,7 +202,6 @@ def _other_odometry(node: Node, topic: str, ours: str) -> list[Finding]:
 
 
 def _needless_clock(node: Node, ear: _Ear) -> list[Finding]:
-    """Of a clock that is not used."""
     if not node.publishers("/clock"):
         return []
     findings = [Finding(WARNING, "/clock", "it is published, but the node runs on wall time: use --use-sim-time")]

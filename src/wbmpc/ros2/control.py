@@ -137,7 +137,6 @@ class ControlNode:
                 self._limit.log(_LOG, logging.INFO, self.state.split(":")[0], self.state)
 
     def close(self) -> None:
-        """Bring the robot to rest and end."""
         moved = self.running
         if moved:
             self._stop_trajectories()

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.checks import unit_quaternions
 from wbmpc.errors import InputError, NotFinite, described, printable
 
-Array = np.ndarray
 #: Of a message about something from the bus.
 LONGEST = 300
 #: No position [m, rad], speed or force is farther from 0, nor the turns of a wheel: what follows would overflow.
@@ -48,7 +48,6 @@ def seconds(time: Any) -> float:
 
 
 def header(time: float, frame: str) -> dict[str, Any]:
-    """A header."""
     return {"stamp": stamp(time), "frame_id": frame}
 
 

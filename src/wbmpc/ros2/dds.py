@@ -32,9 +32,8 @@ from wbmpc.ros2.bus import DEFAULT, LARGEST, LATCHED, LONGEST_NODE_NAME, SMALL, 
 from wbmpc.ros2.cdr_types import idl_types, shared_message_class
 from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import OPEN, open_domain, return_participant, take_participant
-from wbmpc.ros2.dds_graph import Graph
+from wbmpc.ros2.dds_graph import POLICIES, Graph, dds_qos
 from wbmpc.ros2.dds_listener import Take, Watch, silence
-from wbmpc.ros2.dds_qos import POLICIES, dds_qos
 from wbmpc.ros2.dds_source import FilteredTopic, cannot_talk, gets_answers, matched
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred, most
@@ -242,7 +241,6 @@ class DdsNode:
             self._announce()
 
     def offer(self, parameters: Parameters) -> None:
-        """Parameters of this node, by its services."""
         ParameterServices(self, self.name, parameters)
 
     # ------------------------------------------------------------------ graph

@@ -98,7 +98,6 @@ class Planner:
 
     # ------------------------------------------------------------------ tasks
     def hold(self, x: Array, t: float) -> Task:
-        """Stay."""
         return self._carry(Track(np.array([t]), self._base(x)[None]), self._held(x), "stay")
 
     def to_base(self, x: Array, t: float, goal: Array) -> Task:
@@ -218,7 +217,6 @@ class Planner:
         return self._base(x), *self.robot.pose(x)
 
     def _carry(self, base: Track, held: tuple[Array, Array, Array], description: str) -> Task:
-        """The end effector keeps its pose in the base."""
         start, position, orientation = held
         turns = base.poses[:, 2] - start[2]
         c, s = np.cos(turns), np.sin(turns)

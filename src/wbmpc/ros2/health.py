@@ -94,7 +94,6 @@ class Health:
         return "; ".join(filter(None, known)) or "the torques that it has could not catch it: no fault was found"
 
     def diagnostics(self) -> dict[str, str]:
-        """For diagnostics."""
         message = {"late": self.late, "fell": self.fell}
         known = {"real-time factor": f"{self.factor:.3f}", "late ticks": str(self.late_ticks)}
         return {**(known if np.isfinite(self.factor) else {}), **{k: v for k, v in message.items() if v}}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.checks import is_certain, is_covariance
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
@@ -20,7 +21,6 @@ from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.runtime.safety import SafeStop
 
 _LOG = logging.getLogger("wbmpc")
-Array = np.ndarray
 Time = Callable[[], float]
 #: Largest time [s] without a pose.
 POSE_AGE = 0.5

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.checks import unit_quaternions
 from wbmpc.errors import InputError
 from wbmpc.mapping.distances import ERROR, DistanceTransform
 from wbmpc.obstacles.shapes import Box, DistanceGrid
 from wbmpc.ros2.convert import LARGEST_NUMBER, check_numbers, read_pose, read_vector
 
-Array = np.ndarray
 #: Of one message: objects, cells, points at most.
 MAX_OBJECTS, MAX_CELLS, MAX_POINTS = 200, 4_000_000, 500_000
 #: Characters of an object's identity.

@@ -94,7 +94,6 @@ class OtherValue:
 
 
 def _kind(value: Any) -> str:
-    """What a value is, in words."""
     if isinstance(value, OtherValue):
         return value.kind
     return "nothing (a parameter cannot be deleted)" if value is None else type(value).__name__

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
-import numpy as np
-
+from wbmpc.arrays import Array
 from wbmpc.ocp import Reference
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.request_queue import Request
 
-Array = np.ndarray
 References = dict[str, Reference]
 #: Most tasks are ready within this time [s]: they become active in the step in which their goal was taken.
 PROMPT = 0.01

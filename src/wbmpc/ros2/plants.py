@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.convert import check_numbers, seconds
+from wbmpc.ros2.convert import check_numbers, seconds, upright
+from wbmpc.ros2.settings import drive_groups
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.simulated_robot import SimulatedRobot
 from wbmpc.types import Truth
 
-Array = np.ndarray
 #: Of the position loop of a simulated joint_trajectory_controller [1/s]; a speed below the other one [rad/s] is rest for it.
 _GAIN, AT_REST = 10.0, float(np.finfo(np.float32).eps)
 
@@ -65,9 +66,9 @@ class RosPlant(ABC):
         self.led: dict[str, ActiveTrajectory] = {}
         self.last: Reading | None = None
 
-    @abstractmethod
     def rest(self) -> dict[str, Array]:
         """Commands by group that keep the robot at rest, brakes closed."""
+        return {g: np.zeros(len(names)) for g, names in drive_groups(self.robot).items()}
 
     @abstractmethod
     def command(self, groups: dict[str, Array]) -> Any:
@@ -77,9 +78,9 @@ class RosPlant(ABC):
     def read(self) -> Reading:
         """What the sensors say; kept as ``last``."""
 
-    @abstractmethod
     def base(self, truth: Truth) -> tuple[Array, Array]:
         """True position (3) [m] above the floor and quaternion (4) of the base's frame."""
+        return upright(truth.pose, self.robot.base.body_height)
 
     def lead(self, joints: list[str], places: list[tuple[str, int]], message: Any, now: float) -> ActiveTrajectory:
         """A JointTrajectory of ``joints``, checked by the rules of ros2_control's joint_trajectory_controller as it is configured

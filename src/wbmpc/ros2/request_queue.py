@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
@@ -20,7 +21,6 @@ from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 
 _LOG = logging.getLogger("wbmpc")
-Array = np.ndarray
 #: (state (nx), time of the plan [s]) -> what is to be done from then on.
 Request = Callable[[Array, float], Task]
 Time = Callable[[], float]

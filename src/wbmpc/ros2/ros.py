@@ -75,7 +75,6 @@ class RosNode:
         return self._mismatches.messages()
 
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> RosPublisher:
-        """A publisher."""
         name, message = full_name(topic), get_message(kind)
         self._made["publisher", name] += 1
         ours = OwnEndpoint("publisher", name, kind, qos)

@@ -50,7 +50,6 @@ def _not_empty(name: str) -> str:
 
 
 def _topic(name: str) -> str:
-    """A topic's name as ROS has them."""
     fault = name_fault(name)
     if fault:
         raise ValueError(f"a topic's name {fault}")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import SMALL, Node, Qos
@@ -22,7 +23,6 @@ from wbmpc.ros2.obstacle_messages import read_transform
 from wbmpc.ros2.sources import Source
 
 _LOG = logging.getLogger("wbmpc")
-Array = np.ndarray
 Pose = tuple[Array, Array]
 TF, KIND = "/tf", "tf2_msgs/msg/TFMessage"
 #: Frames that are known at most, and how many are between a frame and the root of its tree.

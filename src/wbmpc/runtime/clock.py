@@ -45,7 +45,6 @@ class Turns:
     rest: float
 
     def during(self, wait: Callable[[], object]) -> None:
-        """Wait."""
         sys.setswitchinterval(self.rest)
         wait()
         sys.setswitchinterval(self.work)

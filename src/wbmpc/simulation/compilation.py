@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from wbmpc.kernel.library import Library
 
-_STEPS = ("arm_step", "contact_step", "frame_step", "speed_torque_step")
+_STEPS = ("arm", "contacts", "scene", "speed_torque")
 LIBRARY = Library(
-    "simulation",
-    packages=("simulation", "kernel"),
-    modules=tuple(f"wbmpc.simulation.{m}" for m in _STEPS),
+    "simulation", packages=("simulation", "kernel"), modules=tuple(f"wbmpc.simulation.{m}" for m in _STEPS)
 )
 step = LIBRARY.step

@@ -15,14 +15,27 @@ from itertools import product
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.step import bind
 from wbmpc.robots.checks import compiled
 from wbmpc.robots.model_import import SHAPE
-from wbmpc.simulation.contact_step import near
+from wbmpc.simulation.compilation import step
 
-Array = NDArray[np.float64]
+
+@step
+def near(n: int, pairs: Integers, centers: Floats, reach: Floats, found: Integers, distance: float) -> int:
+    """Of n ``pairs`` of shapes those whose bounding spheres (``reach``: the sum of two radii) are nearer than ``distance`` [m]: into
+    ``found``; how many they are."""
+    count = 0
+    for k in range(n):
+        a, b = 3 * pairs[2 * k], 3 * pairs[2 * k + 1]
+        x, y, z = centers[a] - centers[b], centers[a + 1] - centers[b + 1], centers[a + 2] - centers[b + 2]
+        if np.sqrt(x * x + y * y + z * z) - reach[k] < distance:
+            found[count] = k
+            count += 1
+    return count
+
 
 #: Classes of shapes, the bits of MuJoCo's ``contype``.
 FLOOR, ROLLS, BODY, FIXED, TOUCHES, TOUCHED = 1, 2, SHAPE, 8, 16, 32

@@ -7,11 +7,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.simulation.scene import Scene, Shape
 from wbmpc.simulation.world import add_floor, add_light
 
-Array = np.ndarray
 _KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,

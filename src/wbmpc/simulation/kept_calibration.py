@@ -12,17 +12,15 @@ from zipfile import BadZipFile
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 import wbmpc
+from wbmpc.arrays import Array
 from wbmpc.bases import base_type
 from wbmpc.kernel import cache
 from wbmpc.kernel.codegen_target import target_text
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
-
-Array = NDArray[np.float64]
 
 
 def kept(

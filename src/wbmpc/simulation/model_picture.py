@@ -33,7 +33,6 @@ class ModelPicture:
 
     @cached_property
     def world(self) -> World:
-        """The bodies, with a floor."""
         description = self.robot.description
         base = description.base
         spec = load_spec(description, meshes=True)

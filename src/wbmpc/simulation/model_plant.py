@@ -56,7 +56,6 @@ class ModelPlant:
         return self.diverged
 
     def measure(self) -> StateMeasurement:
-        """The state."""
         return StateMeasurement(self.time, self.x.copy())
 
     def step(self, command: InputCommand, steps: int = 1) -> None:

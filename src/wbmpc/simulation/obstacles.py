@@ -8,9 +8,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle, read_scene
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
@@ -18,7 +18,6 @@ from wbmpc.obstacles.solids import axes_along
 from wbmpc.obstacles.world import Obstacle, Obstacles, Snapshot
 from wbmpc.simulation.contacts import APART, FAR, FIXED, OBSTACLE
 
-Array = NDArray[np.float64]
 #: The frame in which the planner sees the scene.
 SCENE = "scene"
 #: Names of the obstacles' bodies begin so; where those are that have not appeared.

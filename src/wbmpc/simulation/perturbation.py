@@ -8,15 +8,14 @@ from typing import Annotated, Any, ClassVar, Self
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from wbmpc.arrays import Array
 from wbmpc.bases import base_type
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
 from wbmpc.settings import ACTUATOR_TIME_CONSTANT
 
-Array = NDArray[np.float64]
 _Friction = Annotated[float, Field(ge=0, le=100)]
 
 

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 def lidar_rays(channels: int, columns: int, low: float, high: float) -> Array:

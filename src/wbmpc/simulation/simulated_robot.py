@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.robots import RobotDescription
 from wbmpc.types import Plant
-
-Array = NDArray[np.float64]
 
 
 class SimulatedRobot(Plant[Any, Any], Protocol):

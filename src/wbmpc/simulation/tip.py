@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.simulation.contacts import TOOL
 
-Array = NDArray[np.float64]
 #: Radius [m] and mass [kg] of a tip; softness of the contact of one of rubber (time constant [s], damping ratio).
 TIP_RADIUS, TIP_MASS, SOFT = 0.02, 0.05, (0.02, 1.0)
 #: Of the tip's body, geom and spring, and of the sensor behind it.

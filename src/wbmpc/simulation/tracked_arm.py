@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.robots.couplings import put_followers
 from wbmpc.robots.home import touching_parts
@@ -17,7 +17,6 @@ from wbmpc.simulation.perturbation import quantize
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Noise [m] of the tracker; how far [rad or m] joints go from home, within their ranges.
 TRACKER, SPREAD = 1e-4, 0.7
 #: Random postures for one in which no parts are in each other, at most.

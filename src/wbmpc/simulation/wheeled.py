@@ -91,7 +91,6 @@ class WheeledPlant(ArmPlant):
             spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 
     def index(self) -> None:
-        """Also sensors."""
         super().index()
         m = self.model
         self._imu = span(np.concatenate([m.sensor(n).adr[0] + np.arange(3) for n in ("gyro", "accel")]))

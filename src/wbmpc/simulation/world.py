@@ -7,19 +7,19 @@ from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.kernel.step import bind
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.checks import compiled
-from wbmpc.robots.mujoco_warnings import log_warnings
+from wbmpc.robots.model_file import log_warnings
 from wbmpc.simulation.contacts import GROUND, Contacts, enable
-from wbmpc.simulation.frame_step import from_base
+from wbmpc.simulation.scene import from_base
 from wbmpc.simulation.speed_torque import SpeedTorque
 
-Array = NDArray[np.float64]
 #: Called before every physics step with (model, data): doors, terrain that moves, pushes of any kind.
 Hook = Callable[[mujoco.MjModel, mujoco.MjData], None]
 #: Changes the specification before it is compiled: blocks, cables, doors, a payload.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
-from wbmpc.model.reentrant import Reentrant
+from wbmpc.model.numeric import Reentrant
 from wbmpc.solver.receding import LINEAR
 
 LIBRARY = Library("policy", packages=("solver", "kernel", "ocp"))

@@ -17,7 +17,7 @@ import numpy as np
 
 from wbmpc.checks import absolute_time, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
-from wbmpc.model.reentrant import Reentrant
+from wbmpc.model.numeric import Reentrant
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.problem import check_problem
 from wbmpc.ocp.schedule import DEFAULT

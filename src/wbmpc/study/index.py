@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import quote
 
 from wbmpc.errors import InputError, described
-from wbmpc.json_file import load_json
+from wbmpc.input_file import load_json
 from wbmpc.run_index import folders
 from wbmpc.study.files import ABOUT, DATABASE, JOURNAL, PAGE, PARTS, ROWS, STATISTICS, TRIALS
 

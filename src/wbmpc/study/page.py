@@ -80,11 +80,7 @@ def metric_rows(summary: Summary, cells: Sequence[Cell], metric: str) -> list[li
     """A metric's table as plain text: a row for each combination, cells as in the page."""
     shown, rows = metric_scale(summary, cells, metric), []
     for c in cells:
-        s, target, compared = (
-            summary.spread(c, metric),
-            summary.target(c, metric),
-            summary.comparison(c, metric),
-        )
+        s, target, compared = (summary.spread(c, metric), summary.target(c, metric), summary.comparison(c, metric))
         goal = goal_text(Metric(s.median, "", goal=target["goal"], least=target["least"]), shown)
         met = {True: "reached", False: "missed", None: ""}[summary.met(c, metric)]
         middle = with_interval(s.median, s.low, s.high, shown)
@@ -105,7 +101,6 @@ def rate_text(rate: Rate) -> str:
 
 
 def comparison_cells(found: Paired | None, shown: Scale) -> list[str]:
-    """Difference with its interval, and wins."""
     if found is None:
         return ["", ""]
     difference = with_interval(found.difference, found.low, found.high, shown)
@@ -214,7 +209,6 @@ def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: st
 
 
 def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> str:
-    """A line for each seed over the combinations."""
     import plotly.graph_objects as go
 
     names = [_broken(c.label) for c in cells]

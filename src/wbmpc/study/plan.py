@@ -118,7 +118,6 @@ def combinations(definition: Definition, folder: Path, where: str) -> list[Combi
 
 
 def _grid(definition: Definition) -> dict[str, Any]:
-    """Values by key of what is not random."""
     vary = {key: axis for key, axis in definition.vary.items() if not isinstance(axis, Random)}
     return {key: axis.values() if isinstance(axis, Range) else axis for key, axis in vary.items()}
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from wbmpc.errors import InputError, NotWritten
-from wbmpc.json_file import load_json
+from wbmpc.input_file import load_json
 from wbmpc.output_file import write_text
 from wbmpc.robots.robot_yaml import write_yaml
 from wbmpc.run_files import flat
@@ -246,7 +246,6 @@ class Clock:
         self._began = time.monotonic()
 
     def ended(self, run: Run, row: Row) -> None:
-        """A run has ended."""
         self._left[run.combination.experiment] -= 1
         self._bad += row["outcome"] != "completed"
         if "wall_time" in row:
@@ -328,7 +327,6 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, t
 
 
 def nested(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by dotted key as sections."""
     out: dict[str, Any] = {}
     for key, value in settings.items():
         *sections, last = key.split(".")

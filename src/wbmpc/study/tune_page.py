@@ -106,7 +106,6 @@ def _history(trials: Trials, name: str) -> str:
 
 
 def _slice(trials: Trials, key: str, name: str, log: bool, place: int) -> str:
-    """An objective over a setting."""
     import plotly.graph_objects as go
 
     x = [t["settings"][key] for t in trials]

@@ -131,7 +131,6 @@ class Tuner:
         return found
 
     def _storage(self) -> Any:
-        """Optuna's database."""
         address = self.tuning.storage or f"sqlite:///{(self.out / DATABASE).resolve()}"
         try:
             return _optuna().storages.get_storage(address)
@@ -159,7 +158,6 @@ class Tuner:
 
     @property
     def left(self) -> int:
-        """Trials to do."""
         return max(self.tuning.trials - len(self.finished), 0)
 
     @property

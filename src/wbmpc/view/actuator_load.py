@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.robots import RobotDescription
 
-Array = np.ndarray
 #: Places of a robot's groups among numbers that are shown; a robot with more groups shows the first ones.
 SHARES = tuple(f"share_{k}" for k in range(8))
 #: Drives of a base that are commanded by torque: the limits of the other groups are speeds.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 
-Array = np.ndarray
 #: Goals are at most this far from the base in the plane [m], and between these heights [m] above the floor.
 REACH, HEIGHTS = 5.0, (-0.5, 3.0)
 #: The largest push [N] and how long it may last [s]; factors of weights; speeds of a run against the clock.

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.simulation.scene import Scene, Shape
 
-Array = np.ndarray
 #: From a robot of 1.4 m [m]: from its front left.
 _PLACE = np.array([1.9, 2.3, 1.5])
 #: What is farther away from the base [m] is not considered.

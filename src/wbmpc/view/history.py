@@ -6,7 +6,8 @@ from collections import deque
 
 import numpy as np
 
-Array = np.ndarray
+from wbmpc.arrays import Array
+
 #: Over how long a real-time factor is taken, and at least [s].
 WINDOW, MINIMUM = 1.0, 0.2
 #: Seconds of the run that are kept, and samples in them.

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability import configurations, leg_angles
 from wbmpc.stability.configurations import leg_group
 
-Array = np.ndarray
 #: Legs are in a configuration where each is within this [rad] of its angle.
 NEAR = 0.05
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import EndedByUser, InputError
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.recording.observer import Observer
@@ -28,7 +29,6 @@ from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import PLAN, REFERENCE, TRAIL, fields, filled, ground
 from wbmpc.view.steering import Steering, no_requests, planar, spatial
 
-Array = np.ndarray
 #: A run that is late by more than this [s] gives up catching up with the clock.
 _LATEST = 0.2
 #: Ticks of which figures are kept.

@@ -12,6 +12,7 @@ import numpy as np
 import viser
 from viser import uplot
 
+from wbmpc.arrays import Array
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view import bounds
 from wbmpc.view.actuator_load import DRIVES, SHARES
@@ -22,7 +23,6 @@ from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, plain, status_text
 from wbmpc.view.steering import Controls, no_requests
 
-Array = np.ndarray
 #: Pictures between two updates of the numbers, and of the plots, which cost a browser more.
 _EVERY, _EVERY_PLOT = 3, 6
 #: How long a run may take to follow a click [s].

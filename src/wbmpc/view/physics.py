@@ -114,7 +114,6 @@ class Simulated:
         return bool(self.board["fell"])
 
     def close(self) -> None:
-        """End the process."""
         self.board["end"] = 1.0
         self.process.join(5.0)
 
@@ -125,12 +124,7 @@ class Simulated:
 
 
 def simulate(
-    make: Callable[[], Any],
-    kind: type,
-    boxes: tuple[Mailbox, ...],
-    board: Board,
-    core: int | None,
-    fifo: bool,
+    make: Callable[[], Any], kind: type, boxes: tuple[Mailbox, ...], board: Board, core: int | None, fifo: bool
 ) -> None:
     """The process: physics as fast as the wall clock, a measurement at every look; until the runner's process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the runner, which then ends this

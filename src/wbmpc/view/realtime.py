@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases import base_type
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
@@ -33,7 +34,6 @@ from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, TRAIL, filled
 from wbmpc.view.steering import Steering
 
-Array = np.ndarray
 _HERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 #: How often the session's own thread looks whether the run has ended [s].
 _POLL_PERIOD = 0.05

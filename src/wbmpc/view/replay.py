@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
 from wbmpc.recording.plots import end_effector_error, positions
@@ -20,7 +21,6 @@ from wbmpc.view.access import Access
 from wbmpc.view.rejection import Rejection
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, TRAIL, filled, ground, plain, status_text
 
-Array = np.ndarray
 #: Pictures per second of a replay, and of a page (which has to hold them all).
 RATE, PAGE_RATE = 30.0, 20.0
 #: Of a film that is one file [s]: its pictures are all in the memory of a browser.

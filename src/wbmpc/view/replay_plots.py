@@ -9,7 +9,8 @@ import numpy as np
 import viser
 from viser import uplot
 
-Array = np.ndarray
+from wbmpc.arrays import Array
+
 #: Points of a line, at most; seconds between two updates of the moment's line.
 POINTS, PERIOD = 400, 0.2
 #: Number of a replay: title of its plot, and by how much it is multiplied for the title's unit.

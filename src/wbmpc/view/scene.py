@@ -14,11 +14,11 @@ import numpy as np
 import trimesh
 import viser
 
+from wbmpc.arrays import Array
 from wbmpc.simulation.render import BASE, END_EFFECTOR, REFERENCE, TRAIL
 from wbmpc.simulation.scene import Scene, Shape
 from wbmpc.view.camera import camera_offset
 
-Array = np.ndarray
 #: Colors (0 to 255) of what is drawn over the scene, and thickness [m] of lines.
 SUPPORT, TRIANGLE, PRESSURE, FORCE = (120, 90, 180), (20, 170, 190), (240, 170, 20), (200, 40, 120)
 _THICKNESS = 0.008

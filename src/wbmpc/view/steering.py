@@ -10,6 +10,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.optional import ChecksBrakes
 from wbmpc.control.protocols import RobotController
 from wbmpc.errors import InputError
@@ -22,7 +23,6 @@ from wbmpc.stability import configurations, leg_angles
 from wbmpc.view import bounds
 
 _LOG = logging.getLogger(__name__)
-Array = np.ndarray
 #: How many places there are for weights in the orders.
 MAX_WEIGHTS = 16
 #: Name of the user's box among the obstacles.

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.model import BallBase, ball_base
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import constant
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: The base's coordinates (x, y, yaw, pitch, roll); the arm's come after them.
 BASE = 5
 #: Steps of the sign of a matrix, at most: it doubles its digits with each once it is near.

@@ -6,18 +6,9 @@ from wbmpc.kernel.library import Library
 from wbmpc.solver.compilation import LIBRARY as DRIVER
 
 _STEPS = (
-    "disturbance_step",
-    "inertial_gate_step",
-    "filter_step",
-    "filter_solve",
-    "joint_step",
-    "torque_step",
-    "monitor_step",
-    "sensor_step",
-    "payload_step",
-    "lean_step",
-    "push_step",
-)
+    "disturbance", "inertial_gate_step", "filter_step", "filter_solve", "joint_tracker", "torque_limits", "sensor_faults", "sensor_step",
+    "payload_step", "lean_control", "push",
+)  # fmt: skip
 _PACKAGES = ("bases/ball", "kernel", "constants.py")
 LIBRARY = Library("ball robot", packages=_PACKAGES, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS))
 compiled, step = LIBRARY.compiled, LIBRARY.step
@@ -25,6 +16,6 @@ compiled, step = LIBRARY.compiled, LIBRARY.step
 MODEL = Library(
     "ball robot with its model",
     packages=(*_PACKAGES, "solver"),
-    modules=("wbmpc.bases.ball.model_step",),
+    modules=("wbmpc.bases.ball.model_steps",),
     uses=(LIBRARY, DRIVER),
 )

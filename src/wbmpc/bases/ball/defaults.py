@@ -13,16 +13,7 @@ from wbmpc.default_problem import keep_apart, keep_clear
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.ocp import (
-    Constraint,
-    Cost,
-    OptimalControlProblem,
-    Reference,
-    RelaxedBarrier,
-    SmoothL1,
-    residuals,
-    sets,
-)
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
@@ -149,12 +140,7 @@ def limit_torques(
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="path+terminal", penalty=barrier, hard=hard))
 
 
-def rezero_mpc(
-    robot: RobotModel,
-    settings: MpcSettings,
-    cost: RezeroCost,
-    obstacles: Obstacles | None = None,
-) -> MPC:
+def rezero_mpc(robot: RobotModel, settings: MpcSettings, cost: RezeroCost, obstacles: Obstacles | None = None) -> MPC:
     """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and apart the pairs that the robot file
     lists."""
     ocp = keep_clear(keep_apart(rezero_problem(robot, settings, cost), robot), robot, obstacles)
@@ -162,7 +148,6 @@ def rezero_mpc(
 
 
 def set_home_references(mpc: MPC, robot: RobotModel, torque: np.ndarray, home: np.ndarray | None = None) -> None:
-    """Rest at home for body, twist and torques."""
     mpc.reference["body"] = Reference.constant(robot.home if home is None else home)
     mpc.reference["twist"] = Reference.constant(np.zeros(6))
     mpc.reference["torque"] = Reference.constant(torque)

@@ -65,7 +65,6 @@ class BallBaseDescription(BaseDescription):
         return self
 
     def parts(self) -> dict[str, str]:
-        """The ball."""
         return {"ball": self.ball}
 
     @property
@@ -74,15 +73,12 @@ class BallBaseDescription(BaseDescription):
         return -self.ball_radius
 
     def radii(self) -> list[Radius]:
-        """Of the ball."""
         return [Radius("base.ball_radius", self.ball_radius, "ball", self.ball, sphere=True)]
 
     def torque_limits(self, limits: LimitsDescription) -> tuple[float, ...]:
-        """Of the omni wheels."""
         return (limits.wheel_effort,) * len(self.wheels.azimuths)
 
     def frames(self) -> dict[str, tuple[str, ...]]:
-        """The frames at which the world pushes."""
         return {"contact_frame": self.contact_frame}
 
     def check_limits(self, limits: LimitsDescription) -> None:

@@ -17,11 +17,11 @@ twist goes with the wheel, which has no inertia of its own: k δ + d δ̇ = ± T
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: What the motors can give, over the drive's limit: head room for the torque loop (assumed).
 HEAD_ROOM = 2.0
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.filter_step import minimal_state
@@ -20,7 +21,6 @@ from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.types import POSE_AHEAD
 
-Array = NDArray[np.float64]
 #: A robot stands still when ball and arm are slower than this [m/s, rad/s], for so long [s].
 SLOW, STANDS = 0.05, 2.0
 #: So long [s] the past is kept for poses that come late; older ones do not count.

@@ -3,31 +3,138 @@
 Source: Bloesch, Burri, Sommer, Siegwart, Hutter: "The Two-State Implicit Filter", RA-L 2018: no prediction, only residuals
 between two consecutive states; the older one is marginalised. Here the residuals are inertial increments (strapdown), rolling
 of the ball without slip, wheel encoders, and the floor's height. docs/explanation/ball-robot.md has the equations.
+
+Gates of estimators: how large a weighed square of errors may be. (SciPy has it, and takes as long to import as a robot to load.)
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from copy import deepcopy
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.bases.ball import chi_square
-from wbmpc.bases.ball.filter_memory import FilterMemory
+from wbmpc.arrays import Array
+from wbmpc.bases.ball.filter_solve import process
 from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, skew
-from wbmpc.bases.ball.filter_step import State
+from wbmpc.bases.ball.filter_step import Noise, State
 from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
-from wbmpc.bases.ball.inertial import forget, gate_arrays
-from wbmpc.bases.ball.inertial_gate_step import FAULTS
+from wbmpc.bases.ball.inertial_gate_step import FAULTS, Gate
 from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.kernel.step import Backend
+from wbmpc.kernel.step import Backend, Step, bind
 
-Array = NDArray[np.float64]
+
+class FilterMemory:
+    """``arrays``: everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`, and a ``gate`` of the inertial unit
+    (:func:`wbmpc.bases.ball.filter.gate_arrays`). ``constants``: of :func:`wbmpc.bases.ball.filter_solve.process`, which is
+    ``process(h, torque, bound)``. The older state is the filter's."""
+
+    def __init__(
+        self, geometry: BallGeometry, noise: BallNoise, gate: dict[str, Array], backend: Backend, **constants: float
+    ) -> None:
+        self._made_of, self._constants = (geometry, noise, gate, backend), constants
+        n = len(geometry.turn)
+        size, m, state = 16 + n, 17 + 2 * n, State.WHEEL + n
+        sizes = {"x": state, "y": state, "z": state, "gyro": 3, "accel": 3}
+        sizes |= {"wheel": n, "read": n, "way": n, "gone": n, "stalled": n, "spin": n, "plain": n * n, "slip": 3 * n}
+        sizes |= {"rate": 3, "turn": 3, "turned": 9, "half": 9, "middle": 9, "after": 9, "shift": 3, "pushed": 3}
+        sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size}
+        sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size, "root": m * m}
+        sizes |= {"error": size, "covariance": size * size, "best_error": size, "best_covariance": size * size}
+        self.arrays = (
+            {name: np.zeros(length) for name, length in sizes.items()}
+            | deepcopy(gate)
+            | {
+                "mount": np.array(geometry.mount, float),
+                "wheels": np.array(geometry.turn, float).flatten(),
+                "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
+            }
+        )
+        self.process = self.step(process, **constants)
+
+    def step(self, function: Callable[..., Any], **constants: float) -> Step:
+        """A step of the filter on these arrays."""
+        geometry, _, _, backend = self._made_of
+        return bind(function, self.arrays, backend, n=len(geometry.turn), radius=float(geometry.radius), **constants)
+
+    def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
+        """Steps of the copy work on its own arrays, and so do those of others on these."""
+        geometry, noise, gate, backend = self._made_of
+        made = FilterMemory(geometry, noise, gate, backend, **self._constants)
+        for name, array in self.arrays.items():
+            made.arrays[name][:] = array
+            memo[id(array)] = made.arrays[name]
+        return made
+
+    @property
+    def state(self) -> BallState:
+        """The older state, a copy."""
+        return _state_of(self.arrays["x"].copy())
+
+    @state.setter
+    def state(self, state: BallState) -> None:
+        x = self.arrays["x"]
+        x[State.POSITION : State.VELOCITY], x[State.VELOCITY : State.ROTATION] = state.position, state.velocity
+        x[State.ROTATION : State.GYRO_BIAS] = state.rotation.ravel()
+        x[State.GYRO_BIAS : State.ACCEL_BIAS], x[State.ACCEL_BIAS : State.SCALE] = state.gyro_bias, state.accel_bias
+        x[State.SCALE], x[State.WHEEL :] = state.scale, state.wheel
+
+
+def _state_of(z: Array) -> BallState:
+    return BallState(
+        z[State.POSITION : State.VELOCITY], z[State.VELOCITY : State.ROTATION],
+        z[State.ROTATION : State.GYRO_BIAS].reshape(3, 3), z[State.GYRO_BIAS : State.ACCEL_BIAS],
+        z[State.ACCEL_BIAS : State.SCALE], z[State.WHEEL :], float(z[State.SCALE]),
+    )  # fmt: skip
+
+
+#: Share of its range from which on a reading is no measurement.
+FULL = 0.999
+
+
+def gate_arrays(unit: InertialDescription, rest: Array) -> dict[str, Array]:
+    """The arrays of :func:`~wbmpc.bases.ball.inertial_gate_step.judge` before the first message of a ``unit``, whose accelerometer reads
+    ``rest`` (3) [m/s²] then."""
+    gate = np.zeros(Gate.FULL + 2)
+    gate[Gate.FULL :] = FULL * unit.rate, FULL * unit.acceleration
+    return {"message": np.zeros(6), "given": np.zeros(6), "last": np.concatenate([np.zeros(3), rest]), "gate": gate}
+
+
+def forget(gate: Array) -> None:
+    """After a gap the next message may be any: it is no jump."""
+    gate[: Gate.SAME] = 0.0
+
+
+def chi_square_tail(square: float, freedom: int) -> float:
+    """The probability that the sum of ``freedom`` squares of unit normal numbers is larger than ``square``.
+
+    Source: Abramowitz and Stegun, Handbook of Mathematical Functions (1964), equations 26.4.4 and 26.4.5.
+    """
+    half = 0.5 * square
+    if freedom % 2:
+        terms = (half ** (i - 0.5) / math.gamma(i + 0.5) for i in range(1, (freedom + 1) // 2))
+        return math.erfc(math.sqrt(half)) + math.exp(-half) * sum(terms)
+    return math.exp(-half) * sum(half**i / math.factorial(i) for i in range(freedom // 2))
+
+
+def chi_square_gate(freedom: int, probability: float) -> float:
+    """The square that is exceeded with a ``probability`` between 0 and 1, by bisection."""
+    low, high = 0.0, float(freedom)
+    while chi_square_tail(high, freedom) > probability:
+        low, high = high, 2.0 * high
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if chi_square_tail(middle, freedom) > probability else (low, middle)
+    return high
+
+
 _REST = np.array([0.0, 0.0, GRAVITY])
 #: Probability of more than this surprise without a fault; what a wheel must have turned [rad] before an encoder that does not
 #: move is called stalled: one that stays within so many counts.
@@ -57,7 +164,7 @@ class BallFilter:
         numbers("ball filter", "rotation", np.ravel(rotation), 9)
         self.freedom, self.surprise = n + 1, 0.0
         gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ _REST)
-        self._gate = chi_square.gate(self.freedom, GATE)
+        self._gate = chi_square_gate(self.freedom, GATE)
         constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "largest_step": STALLED}
         self._memory = FilterMemory(geometry, noise, gate, backend, **constants)
         start = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
@@ -139,7 +246,6 @@ class BallFilter:
         self.faults = self._named(choice, fault, stalled) if choice or fault or any(stalled) else ()
 
     def _start(self, wheel: Array) -> None:
-        """The first message says where the wheels are."""
         arrays, covariance = self._memory.arrays, self.covariance
         arrays["x"][State.WHEEL :], arrays["read"][:] = wheel, wheel
         covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2

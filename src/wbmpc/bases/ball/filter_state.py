@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: Where position, velocity, attitude and the biases of gyro and accelerometer stand in the error state.
 P, V, A, BG, BA = (slice(k, k + 3) for k in (0, 3, 6, 9, 12))
 

@@ -8,11 +8,10 @@ same relation in the filter's rolling rows.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 
-Array = NDArray[np.float64]
 #: An interval longer than this [s] is a gap: what the inertial unit said at its end says nothing of the time before.
 GAP = 0.1
 #: After a gap: standard deviation by this share of the way and of the turn, and by so much in a second [m/s, rad/s] besides; of the

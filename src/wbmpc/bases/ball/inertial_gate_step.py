@@ -1,4 +1,4 @@
-"""One message of an inertial unit, compiled: whether it can be true. The arrays are those of :func:`wbmpc.bases.ball.inertial.gate_arrays`.
+"""One message of an inertial unit, compiled: whether it can be true. The arrays are those of :func:`wbmpc.bases.ball.filter.gate_arrays`.
 
 ``message`` (6): gyro [rad/s], accelerometer [m/s²]; ``given``: the one before; ``last``: the last one that counted.
 """

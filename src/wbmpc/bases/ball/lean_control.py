@@ -6,18 +6,41 @@ import logging
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.balance import Balance
-from wbmpc.bases.ball.lean_step import BASE, lean_offsets
+from wbmpc.bases.ball.compilation import step
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import DisturbanceTooLarge
+from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.lie import cos_sin
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
+#: Coordinates of ball and base, before those of the arm.
+BASE = 5
+
+
+@step
+def lean_offsets(shift: Floats, whole: Floats, force: Floats, heading: Floats, out: Floats, yaw: float) -> None:
+    """Of a ``force`` (5) in the world's axes: ``shift`` (2, 5) times it along the world's axes, and ``whole`` (2, 5) times it along
+    those of the base's ``heading`` at ``yaw`` [rad], in ``out`` (4)."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    for i in range(BASE):
+        heading[i] = force[i]
+    heading[0], heading[1] = c * force[0] + s * force[1], c * force[1] - s * force[0]
+    for k in range(4):
+        out[k] = 0.0
+    for i in range(BASE):
+        for k in range(2):
+            out[k] += shift[k * BASE + i] * heading[i]
+            out[2 + k] += whole[k * BASE + i] * heading[i]
+    x, y = out[0], out[1]
+    out[0], out[1] = c * x - s * y, s * x + c * y
+
+
 _LOG = logging.getLogger("wbmpc")
 #: The share of the wheels' reach up to which a robot leans against a force that lasts: the rest is for balancing there. With all
 #: of it, 60 N that held on felled one of three perturbed robots after 6 s.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from wbmpc.arrays import Array
+
 #: Of commands that ask for nothing beside torques.
 _NOTHING = np.zeros(0)
 _NOTHING.flags.writeable = False

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError, unknown_name
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 
-Array = NDArray[np.float64]
 #: Newton's method for an equilibrium: largest force and torque [N, N m] that are left, largest change of the lean [rad] in a step, shortest
 #: step, and the condition of a matrix that counts as singular.
 EXACT, FAR, SHORTEST, SINGULAR = 1e-11, 0.2, 1e-3, 1e12

@@ -2,22 +2,84 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from wbmpc.bases.ball.disturbance import DisturbanceObserver
+from wbmpc.arrays import Array
+from wbmpc.bases.ball.compilation import MODEL
+from wbmpc.bases.ball.disturbance import Clock, Disturbance, DisturbanceObserver, Gate, Setting, observe
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_step import accelerate, learn
 from wbmpc.bases.ball.payload import PayloadEstimator
+from wbmpc.bases.ball.payload_step import Payload, update_mass
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import UnsupportedOperation
 from wbmpc.kernel.function import CompiledFunction
+from wbmpc.kernel.ir import Floats, Integers, PointerCall
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.solver import Solver
+from wbmpc.solver.receding import simulate
 
-Array = NDArray[np.float64]
+call2 = PointerCall(2)
+
+
+class Model(NamedTuple):
+    """The model as a solver integrates it, from a state and the torques that acted there."""
+
+    memory: Floats  # of the solver, whose integrator and parameters the model has
+    table: Integers
+    state: Floats  # (nx)
+    acted: Floats  # (nu)
+    trial: Floats  # (nx), room for another state
+
+
+class Inertia(NamedTuple):
+    """A function of the coordinates that was compiled by itself."""
+
+    inertia: int  # its address
+    places: Integers  # (2), room for the addresses of its argument and its results
+    inertial: Floats  # (n n + n), its results: the mass matrix, and the weight of 1 kg at the tool
+
+
+@MODEL.step
+def accelerate(model: Model, nx: int, at: int, m: int, acceleration: Floats, h: float) -> None:
+    """Mean ``acceleration`` (m) over h [s] of the state's speeds from ``at`` on."""
+    for i in range(nx):
+        model.trial[i] = model.state[i]
+    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
+    for i in range(m):
+        acceleration[i] = (model.trial[at + i] - model.state[at + i]) / h
+
+
+@MODEL.step
+def learn(
+    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, weighs: bool, started: bool, t: float, h: float
+) -> float:
+    """Disturbance and payload (``weighs``: there is one) after a state at t [s], h [s] after the one before (``started``: there was one);
+    returns how much of a constant disturbance that can have learned."""
+    n = d.size
+    if not started:
+        g.clock[Clock.NEW_UNTIL] = t + g.settings[Setting.LONGEST]
+    for i in range(n):
+        d.velocity[i] = model.state[n + i]
+        if not started:
+            g.speed[i] = model.state[n + i]
+        model.trial[i], model.trial[n + i] = model.state[i], g.speed[i]
+    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
+    by.places[0], by.places[1] = model.state.ctypes.data, by.inertial.ctypes.data
+    call2(by.inertia, by.places.ctypes.data, by.places.ctypes.data + 8)
+    for i in range(n):
+        d.after[i] = model.trial[n + i]
+    for i in range(n * n):
+        d.mass[i] = by.inertial[i]
+    learning = observe(d, g, t, h)
+    if weighs:
+        for i in range(n):
+            p.weight[i] = by.inertial[n * n + i]
+        update_mass(d, p, learning, h)
+    return learning
 
 
 class ModelSteps:

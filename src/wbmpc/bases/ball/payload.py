@@ -18,14 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.payload_step import AFTER, CALM, Load, Rule, change, learn, update_mass
 from wbmpc.checks import finite, not_negative, numbers, positive
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import Backend, Step, bind
 
-Array = NDArray[np.float64]
 _WHO = "payload estimator"
 
 

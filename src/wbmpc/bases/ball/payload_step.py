@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
-from wbmpc.bases.ball.disturbance_step import Disturbance
+from wbmpc.bases.ball.disturbance import Disturbance
 from wbmpc.kernel.ir import Floats
 
 #: Gain [1/s] of the arm's speed under the model; of the mass [1/s]; masses [kg] from which on it counts, and until when.
@@ -138,7 +138,7 @@ def detect_change(d: Disturbance, p: Payload, learning: float, h: float) -> tupl
 @step
 def update_mass(d: Disturbance, p: Payload, learning: float, h: float) -> None:
     """The mass of this tick, at once where a load comes or goes, else as it is learned; the force goes without it. What is known of the
-    disturbance is that of :func:`wbmpc.bases.ball.disturbance_step.observe`, ``h`` [s] ago."""
+    disturbance is that of :func:`wbmpc.bases.ball.disturbance.observe`, ``h`` [s] ago."""
     if not arm_observes_mass(d.size, p.weight, p.rule):
         return
     for i in range(d.size):

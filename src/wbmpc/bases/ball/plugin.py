@@ -2,51 +2,49 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.mechanics import check_ball
 from wbmpc.bases.ball.model import BallBase, ball_base
-from wbmpc.bases.base import BaseType, Calibration, System
+from wbmpc.bases.base import Calibration
+from wbmpc.bases.common.plugin import CommonBaseType
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    from wbmpc.bases.ball.perturbation import BallPerturbation
+    from wbmpc.bases.ball.controller import BallController
     from wbmpc.bases.ball.plant import BallPlant
-    from wbmpc.bases.ball.ros_plant import BallRosPlant
-    from wbmpc.bases.ball.ros_settings import BallRosSettings
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
 
-class BallBaseType(BaseType):
+class BallBaseType(CommonBaseType):
     """What generic code may ask of bases that balance on a ball."""
 
     Description = BallBaseDescription
+    parts: ClassVar[Mapping[str, str]] = {
+        "perturbation": "bases.ball.perturbation:BallPerturbation", "plant": "bases.ball.plant:BallPlant",
+        "ros_settings": "bases.ball.ros_settings:BallRosSettings", "ros": "bases.ball.ros:BallRosAdapter",
+        "ros_plant": "bases.ball.ros_plant:BallRosPlant",
+    }  # fmt: skip
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """The ball is one body like a ball, that turns about the origin of the base's frame."""
         check_ball(description, model)
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> BallBase:
-        """The full dynamics on minimal coordinates."""
         base = description.base
         assert isinstance(base, BallBaseDescription)
         tree = read_tree(spec, base.body, without=(base.ball,))
         return BallBase(description, tree, read_tree(spec, base.ball).links[0])
-
-    def perturbation(self) -> type[BallPerturbation]:
-        """Torque drives, a state sensor, cables on the floor."""
-        from wbmpc.bases.ball.perturbation import BallPerturbation
-
-        return BallPerturbation
 
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
@@ -68,34 +66,9 @@ class BallBaseType(BaseType):
             raise InputError("ball: a path is followed by a clock; valid: reference=clock, progress=None")
         return make_mpc(robot, obstacles, **changes)
 
-    def system(
-        self,
-        robot: RobotModel,
-        seed: int,
-        perturbation: Perturbation | None = None,
-        mpc: MPC | None = None,
-        edit: Edit | None = None,
-        calibration: Calibration | None = None,
-    ) -> System:
-        """A perturbed plant in its equilibrium, whose controller brings the end effector to goals that are set while it runs."""
-        from wbmpc.bases.ball.system import make_system
+    def controller(
+        self, robot: RobotModel, mpc: MPC, plant: BallPlant, period: float, calibration: Calibration | None
+    ) -> BallController:
+        from wbmpc.bases.ball.system import make_controller
 
-        return make_system(robot, self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot))
-
-    def ros_settings(self, description: RobotDescription) -> type[BallRosSettings]:
-        """Weights of the ball robot's problem, and what is learned of forces."""
-        from wbmpc.bases.ball.ros_settings import BallRosSettings
-
-        return BallRosSettings
-
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
-        """The adapter that reads encoders and the inertial unit and publishes torques."""
-        from wbmpc.bases.ball.ros import BallRosAdapter
-
-        return BallRosAdapter(robot, settings, period)
-
-    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> BallRosPlant:
-        """Follows torques."""
-        from wbmpc.bases.ball.ros_plant import BallRosPlant
-
-        return BallRosPlant(robot, self.plant(robot, perturbation, seed))
+        return make_controller(robot, mpc, period)

@@ -7,18 +7,39 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.balance import Balance, load_offset
+from wbmpc.bases.ball.compilation import step
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.push_step import take_in
 from wbmpc.checks import not_negative, numbers, positive_time
 from wbmpc.errors import NotFinite
 from wbmpc.kernel.function import CompiledFunction
+from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
+#: Time constant [s] of the mean that is taken: three messages of the sensors at 400 Hz.
+SMOOTH = 0.010
+
+
+@step
+def take_in(n: int, x: Floats, expected: Floats, slope: Floats, drift: Floats, found: Floats, h: float) -> bool:
+    """``drift`` (2) [m/s] after a state ``x`` (2 n), h [s] after the one from which the model ``expected`` (2 n) another; ``slope`` (2, n):
+    of the lean's divergent component by coordinates, over its pole. False, and nothing is changed, if it would not be finite;
+    ``found``: room for it."""
+    for k in range(2):
+        rate = 0.0
+        for i in range(n):
+            rate += slope[k * n + i] * (x[n + i] - expected[n + i])
+        found[k] = drift[k] + h / (h + SMOOTH) * (rate / h - drift[k])
+    if not (np.isfinite(found[0]) and np.isfinite(found[1])):
+        return False
+    drift[0], drift[1] = found[0], found[1]
+    return True
+
+
 #: Slower drifts [m/s] than this are not taken for a push: noise, friction, loads and a model that is a little wrong.
 DEAD = 0.1
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc, rezero_problem
 from wbmpc.bases.ball.estimator import BallEstimator
@@ -32,7 +33,6 @@ from wbmpc.ros2.goals import EndEffectorTrack, Planner, Task
 from wbmpc.ros2.health import FELL
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series
 
-Array = np.ndarray
 #: A policy that has had no successor for so long [s] becomes a hold: it plans to be somewhere, and its gains to get there.
 HOLD_AFTER = 0.3
 #: Time that goes back by more than this [s] is of another clock: a simulator that was restarted, or a clock that was set.
@@ -290,7 +290,6 @@ class BallRosAdapter(BaseAdapter):
         return self._rest
 
     def groups(self, command: BallCommand) -> Groups:
-        """A command by groups."""
         n = self._rest["wheel"].size
         return {"wheel": command.torque[:n], "arm": command.torque[n:]}
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.types import Truth
-
-Array = np.ndarray
 
 
 class BallRosPlant(RosPlant):
@@ -21,12 +20,7 @@ class BallRosPlant(RosPlant):
         super().__init__(robot, plant)
         self.imu_at = plant.sensors.mount
 
-    def rest(self) -> dict[str, Array]:
-        """No torque."""
-        return {g: np.zeros(len(self.robot.input.groups[g])) for g in ("wheel", "arm")}
-
     def command(self, groups: dict[str, Array]) -> BallCommand:
-        """What the drives get."""
         return BallCommand(np.concatenate([groups["wheel"], groups["arm"]]))
 
     def read(self) -> Reading:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.clearance.rows import SelfRows
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.clearance_residuals import SelfClearance
 
-Array = NDArray[np.float64]
 #: Parts that are as near as this [m] may touch: soft contacts, zeros of encoders (2 mrad at an arm's length), shapes that are not exact.
 TOUCHES = 0.01
 

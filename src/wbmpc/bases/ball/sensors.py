@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.sensor_step import GRAVITY, measure
 from wbmpc.errors import unknown_name
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.simulation.perturbation import PlantSample, quantize
-
-Array = NDArray[np.float64]
 
 
 class Seen(NamedTuple):

@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import not_negative, whole
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: So much of what was sent before a measurement, and no fewer ticks, is remembered [s]: older measurements count as this old.
 _MEMORY, _TICKS = 0.16, 64
 #: A longer dead time [s] is a mistake: no robot stands so long without a command.

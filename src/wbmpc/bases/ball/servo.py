@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.checks import numbers
 from wbmpc.simulation.perturbation import quantize
 
-Array = NDArray[np.float64]
 #: Speeds are differences of encoder readings over this time [s].
 WINDOW = 0.010
 

@@ -10,17 +10,14 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import rezero_mpc
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.ball.settings import PUSHED_SPEED, STEPS_AND_PUSHES, mpc_settings
-from wbmpc.bases.base import System
 from wbmpc.default_problem import hold
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Reference
-from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE, MpcSettings
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings
 
 
 def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: Any) -> MPC:
@@ -36,11 +33,10 @@ def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: A
     return mpc
 
 
-def make_system(robot: RobotModel, plant: BallPlant, mpc: MPC) -> System:
-    """Controller of a plant that rests in its equilibrium."""
+def make_controller(robot: RobotModel, mpc: MPC, period: float) -> BallController:
+    """Of a plant that rests in its equilibrium; its goals are set while it runs."""
     arm = robot.home[robot.state["arm"]]
     _, torque = ball_base(robot).numeric.equilibrium(arm)
-    timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-    controller = BallController(robot, mpc, torque, timing.period, DriveSettings(ACTUATOR_TIME_CONSTANT))
+    controller = BallController(robot, mpc, torque, period, DriveSettings(ACTUATOR_TIME_CONSTANT))
     controller.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
-    return System(plant, controller, mpc, timing)
+    return controller

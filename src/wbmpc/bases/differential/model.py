@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.differential.description import DifferentialBaseDescription
 from wbmpc.bases.planar_motion.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar_motion.wheels import FixedWheels
@@ -12,7 +12,6 @@ from wbmpc.errors import InputError
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
 
-Array = NDArray[np.float64]
 #: How far apart the axles' lines may be: angle [rad], distance [m].
 _PARALLEL, _BESIDE = 1e-3, 0.002
 

@@ -27,11 +27,9 @@ class DifferentialPlant(PlanarPlant):
     """Physics, drives and sensors of a robot with a differential drive."""
 
     def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
-        """A tire."""
         add_tire(spec.joint(self.base.wheels[index]), radius, friction)
 
     def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
-        """The casters."""
         add_casters(self, spec, weight, caster_places(self.description, self.model_base.geometry))
 
 

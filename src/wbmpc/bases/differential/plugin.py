@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
@@ -14,15 +14,11 @@ from wbmpc.bases.differential.model import differential_base
 from wbmpc.bases.planar_motion.model import PlanarBase
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
 from wbmpc.bases.planar_motion.proposal import axles, fixed_wheels, headings, propose
-from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    from wbmpc.bases.differential.plant import DifferentialPlant
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
-    from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
 
 #: Axles are one if they are parallel within 1 - cosine and cross a line within so much [m]; a pair is so far [m] apart at least.
 PARALLEL, BESIDE, APART = 1e-3, 0.002, 0.05
@@ -32,6 +28,7 @@ class DifferentialBaseType(PlanarBaseType):
     """What generic code may ask of differential bases."""
 
     Description = DifferentialBaseDescription
+    parts: ClassVar[Mapping[str, str]] = {**PlanarBaseType.parts, "plant": "bases.differential.plant:DifferentialPlant"}
 
     def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
         """Wheels on one axle, and no other that is driven."""
@@ -45,13 +42,4 @@ class DifferentialBaseType(PlanarBaseType):
         return propose(fixed, 0.9, f"{len(fixed)} driven wheels on one axle", {})
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> PlanarBase:
-        """The kinematic model."""
         return differential_base(description, *self.read(description, spec))
-
-    def plant(
-        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
-    ) -> DifferentialPlant:
-        """The simulated robot at home."""
-        from wbmpc.bases.differential.plant import DifferentialPlant
-
-        return DifferentialPlant(robot, perturbation=perturbation, seed=seed, edit=edit)

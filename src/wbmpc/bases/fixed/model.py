@@ -57,7 +57,6 @@ class FixedBase:
         return {link: u[k] for k, link in enumerate(self._joints)}, ca.SX(3, 1), ca.SX(3, 1)
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
-        """ẋ = u."""
         return u
 
     def rolling(self, x: ca.SX, u: ca.SX, m: ca.SX) -> ca.SX:
@@ -74,5 +73,4 @@ class FixedBase:
         return joint_limits(self, description, ("arm",), limits.velocity, limits.acceleration, {})
 
     def home(self, robot: RobotModel) -> NDArray[np.float64]:
-        """The arm at the description's home."""
         return joint_home(self, robot.description, ("arm",))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, Calibration, Proposal, System
+from wbmpc.bases.base import Calibration, Proposal
+from wbmpc.bases.common.plugin import CommonBaseType
 from wbmpc.bases.fixed.description import FixedBaseDescription
 from wbmpc.bases.fixed.model import FixedBase
 from wbmpc.model.robot import RobotModel
@@ -15,22 +16,22 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    from wbmpc.bases.fixed.plant import FixedPlant
-    from wbmpc.bases.fixed.ros import FixedRosAdapter
+    from wbmpc.control.direct import DirectController
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
-    from wbmpc.ros2.plants import RosPlant
-    from wbmpc.ros2.settings import RosSettings
-    from wbmpc.simulation.perturbation import ArmPerturbation, Perturbation
-    from wbmpc.simulation.world import Edit
 
 
-class FixedBaseType(BaseType):
+class FixedBaseType(CommonBaseType):
     """What generic code may ask of robots whose base does not move."""
 
     Description = FixedBaseDescription
+    parts: ClassVar[Mapping[str, str]] = {
+        "perturbation": "simulation.perturbation:ArmPerturbation", "plant": "bases.fixed.plant:FixedPlant",
+        "ros_settings": "bases.fixed.ros_settings:FixedRosSettings", "ros": "bases.fixed.ros:FixedRosAdapter",
+        "ros_plant": "bases.fixed.ros_plant:FixedRosPlant",
+    }  # fmt: skip
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Any body can stand still."""
@@ -48,20 +49,6 @@ class FixedBaseType(BaseType):
         tree = read_tree(spec, description.base.body)
         return FixedBase(description, tree, data.xpos[body].copy(), data.xquat[body].copy())
 
-    def perturbation(self) -> type[ArmPerturbation]:
-        """Of an arm."""
-        from wbmpc.simulation.perturbation import ArmPerturbation
-
-        return ArmPerturbation
-
-    def plant(
-        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
-    ) -> FixedPlant:
-        """The simulated robot at home."""
-        from wbmpc.bases.fixed.plant import FixedPlant
-
-        return FixedPlant(robot, perturbation, seed, edit=edit)
-
     def mpc(
         self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: str | None = None, **changes: Any
     ) -> MPC:
@@ -70,41 +57,10 @@ class FixedBaseType(BaseType):
 
         return default_mpc(robot, default_settings(**changes), obstacles=obstacles, progress=progress)
 
-    def system(
-        self,
-        robot: RobotModel,
-        seed: int,
-        perturbation: Perturbation | None = None,
-        mpc: MPC | None = None,
-        edit: Edit | None = None,
-        calibration: Calibration | None = None,
-    ) -> System:
-        """A perturbed plant at home with its controller and MPC, whose goal is home."""
+    def controller(
+        self, robot: RobotModel, mpc: MPC, plant: Any, period: float, calibration: Calibration | None
+    ) -> DirectController:
         from wbmpc.control.direct import DirectController
-        from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE
-        from wbmpc.simulation.lockstep import Timing
+        from wbmpc.settings import ACTUATOR_TIME_CONSTANT
 
-        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
-        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-        rate = robot.limits.input_rate
-        return System(
-            plant, DirectController(robot, mpc, timing.period, ACTUATOR_TIME_CONSTANT, rate=rate), mpc, timing
-        )
-
-    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
-        """Weights that scale with the robot."""
-        from wbmpc.bases.fixed.ros_settings import FixedRosSettings
-
-        return FixedRosSettings
-
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> FixedRosAdapter:
-        """The adapter that reads joint states and publishes speeds."""
-        from wbmpc.bases.fixed.ros import FixedRosAdapter
-
-        return FixedRosAdapter(robot, settings, period)
-
-    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
-        """Follows speeds."""
-        from wbmpc.bases.fixed.ros_plant import FixedRosPlant
-
-        return FixedRosPlant(robot, self.plant(robot, perturbation, seed))
+        return DirectController(robot, mpc, period, ACTUATOR_TIME_CONSTANT, rate=robot.limits.input_rate)

@@ -6,18 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.arrays import Array
+from wbmpc.bases.common.ros import SpeedRosAdapter
 from wbmpc.bases.fixed.ros_settings import FixedRosSettings
 from wbmpc.bases.optional import mounting
 from wbmpc.control.direct import DirectController, InputCommand, StateMeasurement
-from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay_at_home
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
-from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Groups, PendingChanges, obstacles_of
-from wbmpc.ros2.goals import Planner, Task
+from wbmpc.ocp import Reference
+from wbmpc.ros2.base_adapter import Estimate, Groups
+from wbmpc.ros2.goals import Task
 from wbmpc.ros2.joints import Inertial, JointSample
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -27,38 +25,19 @@ class BusMeasurement(StateMeasurement):
     origin: float = 0.0
 
 
-class FixedRosAdapter(BaseAdapter):
+class FixedRosAdapter(SpeedRosAdapter):
     """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. The pose of the base is that of the robot's file."""
 
     watches = "joints"
     controller: DirectController
 
     def __init__(self, robot: RobotModel, settings: FixedRosSettings, period: float) -> None:
-        self.robot, self.settings = robot, settings
-        self.planner = Planner(robot, settings.speeds, settings.goals)
-        self.pending = PendingChanges()
-        self.obstacles = obstacles_of(settings)
-        problem = keep_clear(self.problem(settings.cost), robot, self.obstacles)
-        solver, rate = settings.mpc.solver(), settings.mpc.rate
-        self.mpc = MPC(problem, solver, rate, guess=self.pending, obstacles=self.obstacles)
-        stay_at_home(robot, self.mpc)
-        self.pending.bind(self.mpc)
+        super().__init__(robot, settings)
         lag = settings.actuator_time_constant
         self.controller = DirectController(robot, self.mpc, period, lag, rate=robot.limits.input_rate)
         self._rest = {"arm": np.zeros(robot.input.size)}
-        robot.pose(robot.home)  # builds the function: not in a tick
-
-    def problem(self, cost: DefaultCost) -> OptimalControlProblem:
-        """The controller's problem with other weights."""
-        return default_problem(self.robot, self.settings.mpc, cost)
-
-    # ------------------------------------------------------------------ commands
-    def rest(self) -> Groups:
-        """Everything at rest."""
-        return self._rest
 
     def groups(self, command: InputCommand) -> Groups:
-        """A command by groups."""
         return {"arm": command.input}
 
     # ------------------------------------------------------------------ states
@@ -79,11 +58,6 @@ class FixedRosAdapter(BaseAdapter):
             return None
         assert isinstance(seen, BusMeasurement)
         return self.on_runners_clock(seen.time + seen.origin), seen.state
-
-    def begin(self, x: Array) -> None:
-        """A new run."""
-        self.controller.stop()
-        self.mpc.reset(x)
 
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> dict[str, Reference]:

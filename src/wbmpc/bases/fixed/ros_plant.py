@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.optional import mounting
 from wbmpc.constants import GRAVITY
 from wbmpc.control.direct import InputCommand
 from wbmpc.ros2.plants import Reading, RosPlant
 from wbmpc.types import Truth
 
-Array = np.ndarray
 #: What an accelerometer at rest says [m/s²].
 _GRAVITY = np.array([0.0, 0.0, GRAVITY])
 
@@ -19,20 +19,16 @@ class FixedRosPlant(RosPlant):
     """Of speeds; the inertial unit is one at rest."""
 
     def rest(self) -> dict[str, Array]:
-        """Everything at rest."""
         return {"arm": np.zeros(self.robot.input.size)}
 
     def command(self, groups: dict[str, Array]) -> InputCommand:
-        """What the drives get."""
         return InputCommand(groups["arm"], np.zeros(1))
 
     def read(self) -> Reading:
-        """What the encoders say."""
         none = np.zeros(0)
         joints = {"leg": none, "steer": none, "wheel": none, "arm": self.plant.measure().state}
         self.last = Reading(joints, np.zeros(3), _GRAVITY)
         return self.last
 
     def base(self, truth: Truth) -> tuple[Array, Array]:
-        """Position and quaternion of the base."""
         return mounting(self.robot.base)

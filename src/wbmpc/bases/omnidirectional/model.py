@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.omnidirectional.description import OmnidirectionalBaseDescription
 from wbmpc.bases.planar_motion.model import PlanarBase
 from wbmpc.bases.planar_motion.wheels import FixedWheels
@@ -12,7 +12,6 @@ from wbmpc.errors import InputError
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
 
-Array = NDArray[np.float64]
 #: Levers of yaw that differ by less than this share do not show how mecanum rollers stand.
 _CLEAR = 0.05
 

@@ -29,7 +29,6 @@ class OmnidirectionalPlant(PlanarPlant):
     """Physics, drives and sensors of a robot on wheels with rollers."""
 
     def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
-        """The rollers of a wheel."""
         add_rollers(spec, spec.joint(self.base.wheels[index]), radius, self._angles()[index], friction)
 
     def _angles(self) -> np.ndarray:

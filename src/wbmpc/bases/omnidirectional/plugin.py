@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
@@ -16,16 +16,12 @@ from wbmpc.bases.omnidirectional.model import omnidirectional_base
 from wbmpc.bases.planar_motion.model import PlanarBase
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
 from wbmpc.bases.planar_motion.proposal import axles, headings, propose
-from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.wheel_search import CASTER
 
 if TYPE_CHECKING:
-    from wbmpc.bases.omnidirectional.plant import OmnidirectionalPlant
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
-    from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
 
 #: Wheels point in one direction above this cosine; axles are two if so far [m] apart.
 ALIKE, APART = 0.97, 0.05
@@ -36,6 +32,10 @@ class OmnidirectionalBaseType(PlanarBaseType):
     """What generic code may ask of omnidirectional bases."""
 
     Description = OmnidirectionalBaseDescription
+    parts: ClassVar[Mapping[str, str]] = {
+        **PlanarBaseType.parts,
+        "plant": "bases.omnidirectional.plant:OmnidirectionalPlant",
+    }
 
     def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
         """Three wheels or more in different directions, or four parallel ones on two axles; steering axes of a file that stand for
@@ -64,13 +64,4 @@ class OmnidirectionalBaseType(PlanarBaseType):
         return propose(fixed, fit, reason, {"rollers": "mecanum"}, ROLLERS("mecanum"))
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> PlanarBase:
-        """The kinematic model."""
         return omnidirectional_base(description, *self.read(description, spec))
-
-    def plant(
-        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
-    ) -> OmnidirectionalPlant:
-        """The simulated robot at home."""
-        from wbmpc.bases.omnidirectional.plant import OmnidirectionalPlant
-
-        return OmnidirectionalPlant(robot, perturbation=perturbation, seed=seed, edit=edit)

@@ -33,7 +33,6 @@ class MobilePlant(PlanarPlant):
     """``rolled`` (m): the way [m, rad] along each of the base's speeds, as its driver counts it."""
 
     def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
-        """The feet."""
         settings = {**contact_settings([0.0, 0.0, 0.0]), "condim": 1, "priority": 1, "solref": STIFF}
         for x, y in self._feet():
             spec.body(self.base.body).add_geom(

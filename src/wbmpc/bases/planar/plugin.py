@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import mujoco
@@ -15,22 +15,15 @@ from wbmpc.bases.planar_motion.description import Place, PlanarBaseDescription
 from wbmpc.bases.planar_motion.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
 from wbmpc.bases.planar_motion.wheels import FixedWheels
-from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.findings import Finding
 from wbmpc.robots.model_checks import BESIDE
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from wbmpc.bases.planar.plant import MobilePlant
+    from wbmpc.arrays import Array
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
-    from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
-
-    Array = NDArray[np.float64]
 
 
 #: Links of wheels and tracks.
@@ -82,6 +75,7 @@ class MobileBaseType(PlanarBaseType):
     """Planning, and a simulated base that is driven by a force: its wheels are not described."""
 
     Description = MobileBaseDescription
+    parts: ClassVar[Mapping[str, str]] = {**PlanarBaseType.parts, "plant": "bases.planar.plant:MobilePlant"}
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
         """Any body can be driven."""
@@ -108,7 +102,6 @@ class MobileBaseType(PlanarBaseType):
         )
 
     def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
-        """That turns slip."""
         assert isinstance(description.base, MobileBaseDescription)
         if not description.base.slips:
             return []
@@ -124,7 +117,6 @@ class MobileBaseType(PlanarBaseType):
         ]
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> MobileBase:
-        """The kinematic model."""
         base = description.base
         assert isinstance(base, MobileBaseDescription)
         names: tuple[str, ...] = ("vx", "vy", "wz") if base.drive == "omni" else ("v", "wz")
@@ -132,14 +124,6 @@ class MobileBaseType(PlanarBaseType):
         one = np.array([[1.0, 0.0], [0.0, -base.center], [0.0, 1.0]])
         twist = np.eye(3) if base.drive == "omni" else one
         return MobileBase(description, read_tree(spec, base.body), base.height, names, twist)
-
-    def plant(
-        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
-    ) -> MobilePlant:
-        """The simulated robot at home."""
-        from wbmpc.bases.planar.plant import MobilePlant
-
-        return MobilePlant(robot, perturbation=perturbation, seed=seed, edit=edit)
 
 
 def _turn_beside_axis(mechanism: Mechanism, wheels: Sequence[Wheel]) -> bool:

@@ -34,7 +34,6 @@ class WheelAccelerationLimit(AccelerationLimit):
 
     @property
     def groups(self) -> dict[str, slice]:
-        """The upper and the lower bounds."""
         n = self.size // 2
         return {"upper": slice(0, n), "lower": slice(n, 2 * n)}
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.model import planar_base
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
@@ -15,8 +15,6 @@ from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
-
-Array = NDArray[np.float64]
 
 
 class PlanarController:

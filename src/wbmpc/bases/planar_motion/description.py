@@ -25,7 +25,6 @@ class PlanarBaseDescription(BaseDescription):
     wheel_radius: float | None = Field(None, ge=1e-3, le=10)
 
     def wheel_joints(self) -> list[str]:
-        """Names of the wheels' joints."""
         return list(self.wheels)
 
     def joints(self) -> list[str]:

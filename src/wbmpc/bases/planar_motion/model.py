@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.wheels import FixedWheels, section
 from wbmpc.errors import InputError
 from wbmpc.model.joints import Limits, joint_home, joint_limits
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
 
-Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 #: Smallest ratio of singular values of the wheel matrix, turns counted at the wheels' distance, at which wheels hold the base.
 _SINGULAR = 1e-3
@@ -131,7 +130,6 @@ class PlanarBase:
             )
 
     def root(self, x: ca.SX) -> FramePose:
-        """Pose of the body's frame."""
         position = ca.vertcat(x[0], x[1], self.body_height)
         return FramePose(position, ca.sparsify(lie.quaternion_about(_UP, x[2])), rotation_about(_UP, x[2]))
 

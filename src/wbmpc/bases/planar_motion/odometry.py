@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.checks import finite, numbers
 
-Array = NDArray[np.float64]
 #: The base stands while no wheel has turned by more than this [rad] (a few counts of its encoder) for this time [s].
 STANDS, STANDS_FOR = 1e-3, 0.25
 #: The gyro's bias counts as known below this doubt [rad/s]; its doubt at the start, its walk [rad/s/√s], the gyro's noise [rad/s/√Hz].

@@ -68,7 +68,6 @@ class PlanarPlant(WheeledPlant):
 
     # ------------------------------------------------------------------ what base types add
     def _drives(self) -> int:
-        """How many drives move the base."""
         return len(self._names["wheel"]) or len(self.model_base.rates)
 
     def add_wheel(self, spec: mujoco.MjSpec, index: int, radius: float, friction: list[float]) -> None:
@@ -145,7 +144,6 @@ class PlanarPlant(WheeledPlant):
 
     # ------------------------------------------------------------------ truth
     def truth(self) -> Truth:
-        """Poses, joints and the wheels' load."""
         frames = self.world.frames(height=0.0)
         return Truth(
             time=self.time,

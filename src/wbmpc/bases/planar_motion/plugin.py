@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from wbmpc.bases.base import Base, BaseType, Calibration, System
+from wbmpc.arrays import Array
+from wbmpc.bases.base import Base, Calibration
+from wbmpc.bases.common.plugin import CommonBaseType
 from wbmpc.bases.planar_motion.calibration import fit_errors
 from wbmpc.bases.planar_motion.model import PlanarBase, planar_base
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
@@ -23,25 +24,23 @@ if TYPE_CHECKING:
     from wbmpc.bases.planar_motion.controller import PlanarController
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
-    from wbmpc.ros2.base_adapter import BaseAdapter
-    from wbmpc.ros2.plants import RosPlant
-    from wbmpc.ros2.settings import RosSettings
     from wbmpc.settings import StabilitySettings
-    from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
-    from wbmpc.simulation.world import Edit
 
-Array = NDArray[np.float64]
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
 ILL = 20.0
 
 
-class PlanarBaseType(BaseType):
-    """Checks and system; a base type adds ``Description``, ``model`` and ``plant``."""
+class PlanarBaseType(CommonBaseType):
+    """Checks and system; a base type adds ``Description``, ``model`` and the part ``plant``."""
 
     calibration_channels = ("wheel", "steer")
+    parts: ClassVar[Mapping[str, str]] = {
+        "perturbation": "simulation.perturbation:WheeledPerturbation", "ros_settings": "bases.planar_motion.ros_settings:PlanarRosSettings",
+        "ros": "bases.planar_motion.ros:PlanarRosAdapter", "ros_plant": "bases.planar_motion.ros_plant:PlanarRosPlant",
+        "controller": "bases.planar_motion.controller:PlanarController",
+    }  # fmt: skip
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
-        """Joints that are wheels."""
         check_wheels(description, model)
 
     def diagnose(self, description: RobotDescription, base: Base) -> list[Finding]:
@@ -71,59 +70,19 @@ class PlanarBaseType(BaseType):
             robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
         )
 
-    def perturbation(self) -> type[WheeledPerturbation]:
-        """Of a robot on wheels."""
-        from wbmpc.simulation.perturbation import WheeledPerturbation
-
-        return WheeledPerturbation
-
-    def system(
-        self,
-        robot: RobotModel,
-        seed: int,
-        perturbation: Perturbation | None = None,
-        mpc: MPC | None = None,
-        edit: Edit | None = None,
-        calibration: Calibration | None = None,
-    ) -> System:
-        """A perturbed plant at home with its controller and MPC, whose goal is home."""
-        from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE
-        from wbmpc.simulation.lockstep import Timing
-
-        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
-        timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
-        wheels = None if calibration is None else WheelErrors(**calibration)
-        controller = self.controller()(
-            robot, plant.truth().pose, timing.period, lag=ACTUATOR_TIME_CONSTANT, wheels=wheels
-        )
-        return System(plant, controller, mpc, timing)
-
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
         """Radii, and what the base's speeds are by them."""
-        odometry = lambda wheels: self.controller().make_odometry(robot, np.zeros(3), wheels)
+        odometry = lambda wheels: self.part("controller").make_odometry(robot, np.zeros(3), wheels)
         size = planar_base(robot).wheel_upper.size, robot.base.twist.shape[1]
         return vars(fit_errors(odometry, size, channels, source))
 
-    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
-        """Weights that scale with the robot, and the gyro."""
-        from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
+    def controller(
+        self, robot: RobotModel, mpc: MPC, plant: Any, period: float, calibration: Calibration | None
+    ) -> PlanarController:
+        from wbmpc.settings import ACTUATOR_TIME_CONSTANT
 
-        return PlanarRosSettings
+        wheels = None if calibration is None else WheelErrors(**calibration)
+        return self.part("controller")(robot, plant.truth().pose, period, lag=ACTUATOR_TIME_CONSTANT, wheels=wheels)  # type: ignore[no-any-return]
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> BaseAdapter:
-        """The adapter that reads joint states and publishes speeds."""
-        from wbmpc.bases.planar_motion.ros import PlanarRosAdapter
-
-        return PlanarRosAdapter(robot, settings, period, self.controller())
-
-    def controller(self) -> type[PlanarController]:
-        """What drives this base type."""
-        from wbmpc.bases.planar_motion.controller import PlanarController
-
-        return PlanarController
-
-    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
-        """Follows speeds."""
-        from wbmpc.bases.planar_motion.ros_plant import PlanarRosPlant
-
-        return PlanarRosPlant(robot, self.plant(robot, perturbation, seed))
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> Any:
+        return self.part("ros")(robot, settings, period, self.part("controller"))

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.base import Proposal, Question
 from wbmpc.robots.wheel_search import Wheel
 
-Array = NDArray[np.float64]
 #: Rim speed [m/s] of wheels for which a file has no limit; rim acceleration [m/s²] at which they do not slip;
 #: radius [m] that is
 #: assumed where nothing shows it.

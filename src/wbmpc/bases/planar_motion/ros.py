@@ -10,30 +10,19 @@ from typing import Any, cast
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
+from wbmpc.bases.common.ros import SpeedRosAdapter
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.model import planar_base
 from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
-from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay_at_home
 from wbmpc.model.robot import RobotModel
-from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import (
-    BaseAdapter,
-    Estimate,
-    Fix,
-    Groups,
-    PendingChanges,
-    Weights,
-    obstacles_of,
-    spatial_covariance,
-)
+from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Weights, planar_estimate
 from wbmpc.ros2.convert import nearest_angle
-from wbmpc.ros2.goals import Planner, Task
+from wbmpc.ros2.goals import Task
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
-from wbmpc.ros2.settings import drive_groups
 
-Array = np.ndarray
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
 #: [rad] besides, have restarted.
 GAP, REST = 0.1, 0.5
@@ -159,7 +148,7 @@ def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
     return type(kind.__name__, (BusController, kind), {})
 
 
-class PlanarRosAdapter(BaseAdapter):
+class PlanarRosAdapter(SpeedRosAdapter):
     """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. ``kind``: the controller of the base type."""
 
     watches = "wheels"
@@ -172,20 +161,9 @@ class PlanarRosAdapter(BaseAdapter):
         period: float,
         kind: type[PlanarController] = PlanarController,
     ) -> None:
-        self.robot, self.settings = robot, settings
-        self.planner = Planner(robot, settings.speeds, settings.goals)
-        self.pending = PendingChanges()
-        problem = self.problem(settings.cost)
-        self.obstacles = obstacles_of(settings)
-        problem = keep_clear(problem, robot, self.obstacles)
-        solver, rate = settings.mpc.solver(), settings.mpc.rate
-        self.mpc = MPC(problem, solver, rate, guess=self.pending, obstacles=self.obstacles)
-        stay_at_home(robot, self.mpc)
-        self.pending.bind(self.mpc)
-        self._led = self._weights_of_base(problem)
+        super().__init__(robot, settings)
+        self._led = self._weights_of_base(self.mpc.ocp)
         self.controller: Any = on_bus(kind)(robot, np.zeros(3), period, lag=settings.actuator_time_constant)
-        self._rest = {g: np.zeros(len(names)) for g, names in drive_groups(robot).items()}
-        robot.pose(robot.home)  # builds the function: not in a tick
 
     def _weights_of_base(self, problem: OptimalControlProblem) -> dict[bool, Weights]:
         """Of the states where the base leads, with the weight of the end effector, and where it does not."""
@@ -195,17 +173,7 @@ class PlanarRosAdapter(BaseAdapter):
         led[part : part + 3] = [float(pose[0]), float(pose[1]), float(pose[5])]
         return {False: {("state", "path"): plain}, True: {("state", "path"): led}}
 
-    def problem(self, cost: DefaultCost) -> OptimalControlProblem:
-        """The controller's problem with other weights."""
-        return default_problem(self.robot, self.settings.mpc, cost)
-
-    # ------------------------------------------------------------------ commands
-    def rest(self) -> Groups:
-        """Everything at rest."""
-        return self._rest
-
     def groups(self, command: PlanarCommand) -> Groups:
-        """A command by groups."""
         steer = {"steer": command.steer} if command.steer.size else {}
         return {**self._rest, "wheel": command.wheel, "arm": command.arm, **steer}
 
@@ -248,11 +216,6 @@ class PlanarRosAdapter(BaseAdapter):
             {g: parts[g] for g in self.robot.state.groups}
         )
 
-    def begin(self, x: Array) -> None:
-        """A new run; the odometry goes on."""
-        self.controller.stop()
-        self.mpc.reset(x)
-
     def relocate(self) -> None:
         """The next pose of another localization counts whatever was known before."""
         self.controller.placed = False
@@ -283,9 +246,5 @@ class PlanarRosAdapter(BaseAdapter):
         seen = self.controller.seen
         if seen is None:
             return None
-        x, y, yaw = seen[1]
-        v = seen[2]
-        return Estimate(
-            np.array([x, y, self.robot.base.body_height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
-            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), spatial_covariance(self.controller.covariance), spatial_covariance(1e-4 * np.eye(3)),
-        )  # fmt: skip
+        height, covariance = self.robot.base.body_height, self.controller.covariance
+        return planar_estimate(seen[1], seen[2], height, covariance, 1e-4 * np.eye(3))

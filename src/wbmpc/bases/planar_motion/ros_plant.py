@@ -4,35 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.messages import PlanarCommand
-from wbmpc.ros2.convert import upright
 from wbmpc.ros2.plants import Reading, RosPlant
-from wbmpc.ros2.settings import drive_groups
-from wbmpc.types import Truth
-
-Array = np.ndarray
 
 
 class PlanarRosPlant(RosPlant):
     """Of speeds."""
 
-    def rest(self) -> dict[str, Array]:
-        """Everything at rest."""
-        return {g: np.zeros(len(names)) for g, names in drive_groups(self.robot).items()}
-
     def command(self, groups: dict[str, Array]) -> PlanarCommand:
-        """What the drives get."""
         return PlanarCommand(groups["wheel"], groups["arm"], groups.get("steer", np.zeros(0)))
 
     def read(self) -> Reading:
-        """What the sensors say."""
         m = self.plant.measure()
         counted = self.robot.description.base.takes_twist  # by the base's own driver
         wheel, way = (np.zeros(0), m.wheel) if counted else (m.wheel, None)
         joints = {"leg": np.zeros(0), "steer": m.steer, "wheel": wheel, "arm": m.arm}
         self.last = Reading(joints, m.gyro, m.accel, way=way)
         return self.last
-
-    def base(self, truth: Truth) -> tuple[Array, Array]:
-        """Position and quaternion of the base."""
-        return upright(truth.pose, self.robot.base.body_height)

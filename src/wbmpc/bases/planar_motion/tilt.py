@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Doubt at the start of a lean [rad] and of a gyro's bias [rad/s]; walk of the bias [rad/s/√s] and of the lean [rad/√s]: the gyro's noise;
 #: noise of what the accelerometer shows of the vertical [rad/√Hz]: also of motion that is not known.
 LEAN, BIAS, WALK, NOISE, VERTICAL = 0.02, 0.05, 3e-5, 3e-4, 2e-3

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from wbmpc.arrays import Array
+
 #: Standard deviation (relative) of a radius without calibration, as the bias of a gyro is found beside it.
 UNSEEN = 0.002
 

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.description import PlanarBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.model.tree import Tree
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.wheel_geometry import drawn_radius
 
-Array = NDArray[np.float64]
 #: Wheels that differ by more [m] in height leave the robot standing on some of them; radii read from shapes may differ by as much.
 _LEVEL = 0.001
 #: A wheel's axis may be so far [rad] from horizontal.
@@ -129,6 +128,5 @@ def _check_level(description: RobotDescription, wheels: Sequence[str], height: A
 
 
 def section(description: RobotDescription) -> PlanarBaseDescription:
-    """The description of the base."""
     assert isinstance(description.base, PlanarBaseDescription)
     return description.base

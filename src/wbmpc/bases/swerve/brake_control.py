@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
@@ -16,7 +17,6 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.ocp import Mode, ModeSchedule
 
-Array = NDArray[np.float64]
 #: A base that its legs hold by less than this (:func:`floating`) counts as floating.
 FLOATING = 0.05
 #: Time [s] that it may float while legs pass through such angles on their way to others.
@@ -247,7 +247,6 @@ class BrakeControl:
         return next((t for t, (a, b) in later if a[leg] != b[leg]), np.inf)
 
     def schedule(self) -> ModeSchedule:
-        """The planner's modes over time."""
         times = self._events[0]
         held = self._held.tolist()
         events = sorted({t for t in (*times, *(t + self.delay for t in (*times, *held))) if np.isfinite(t)})

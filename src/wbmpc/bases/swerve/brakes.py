@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError, unknown_name
 
-Array = NDArray[np.float64]
 State = Literal["open", "opening", "closing", "closed"]
 #: Torque [N m] that the brake of a hinge holds, force [N] that that of a slide does.
 BRAKE_TORQUE, BRAKE_FORCE = 200.0, 500.0
@@ -71,7 +71,6 @@ class Brakes:
 
     @property
     def states(self) -> list[State]:
-        """The state of each brake in a word."""
         return [self._word(e, w) for e, w in zip(self.engaged, self._target, strict=True)]
 
     @staticmethod

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.calibrator import Calibrator
 from wbmpc.bases.swerve.calibration import WheelFit, fit_wheels
 from wbmpc.bases.swerve.model import swerve_base
@@ -21,7 +21,6 @@ from wbmpc.estimation.calibration_file import ARM_KEYS, read_rows
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry
 
-Array = NDArray[np.float64]
 #: Bases whose places [m] and directions [rad] differ by less are the same: descriptions are measured, and measured again.
 SAME_BASE = 0.02
 

@@ -5,15 +5,8 @@ from __future__ import annotations
 from wbmpc.kernel.library import Library
 
 _STEPS = (
-    "odometry_step",
-    "slip_step",
-    "inertial_step",
-    "brake_step",
-    "drive_step",
-    "tracking_step",
-    "smooth_step",
-    "rolling_step",
-)
+    "odometry_step", "slip_step", "inertial_velocity", "brake_monitor", "drives", "tracking_step", "estimator", "rolling",
+)  # fmt: skip
 LIBRARY = Library(
     "swerve robot",
     packages=("bases/swerve", "kernel", "constants.py"),

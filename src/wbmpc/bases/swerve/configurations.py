@@ -8,13 +8,12 @@ six areas of the table. (The commands of the authors' release: 0.72 rad for X an
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability.configurations import hinged
 
-Array = NDArray[np.float64]
 #: Outward angles [rad] of front and rear legs from the body's x axis, ahead and behind (negative: turned inwards).
 CONFIGURATIONS = {"H": (0.0, 0.0), "X": (np.pi / 4, np.pi / 4), "A": (-0.498, 0.747)}
 #: Names of hinges by where they are: left front, right front, left and right behind.

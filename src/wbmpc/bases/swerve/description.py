@@ -57,13 +57,10 @@ class SwerveBaseDescription(BaseDescription):
         return {**legs, "steer": self.steering_joints(), "wheel": [m.wheel for m in self.modules]}
 
     def steering_joints(self) -> list[str]:
-        """One for each module."""
         return [m.steer for m in self.modules]
 
     def joints(self) -> list[str]:
-        """The joints module by module."""
         return [n for m in self.modules for n in (m.leg, m.steer, m.wheel) if n]
 
     def radii(self) -> list[Radius]:
-        """Of every wheel."""
         return [Radius("base.wheel_radius", self.wheel_radius, "wheel", m.wheel) for m in self.modules]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import learn_sag
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
 SAG_TIME, MAX_SAG = 1.0, 0.15
 
@@ -28,16 +27,7 @@ class DriveModel:
     def __init__(self, robot: RobotModel, period: float, lag: float, planned_steering: bool) -> None:
         self.lag, self.blend = lag, lag_share(period, lag)
         self.arrays = {"rates": np.zeros(robot.input.size), "turning": np.zeros(swerve_base(robot).geometry.modules)}
-
-    @property
-    def rates(self) -> Array:
-        """(nu), as an array that goes on."""
-        return self.arrays["rates"]
-
-    @property
-    def turning(self) -> Array:
-        """(n) [rad/s], as an array that goes on."""
-        return self.arrays["turning"]
+        self.rates, self.turning = self.arrays["rates"], self.arrays["turning"]
 
 
 class ArmDrives:
@@ -47,22 +37,8 @@ class ArmDrives:
     def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
         self._period, self._lag, self._blend = period, lag, lag_share(period, lag)
         self.arrays = {name: np.zeros(count) for name in ("sag", "command", "rate", "mean", "turned")}
+        self.sag, self.command, self.mean = (self.arrays[name] for name in ("sag", "command", "mean"))
         self._learn = bind(learn_sag, self.arrays, backend, m=count, largest=MAX_SAG)
-
-    @property
-    def sag(self) -> Array:
-        """(m) [rad/s], as an array that goes on."""
-        return self.arrays["sag"]
-
-    @property
-    def command(self) -> Array:
-        """(m) [rad/s], as an array that goes on."""
-        return self.arrays["command"]
-
-    @property
-    def mean(self) -> Array:
-        """(m) [rad/s], as an array that goes on."""
-        return self.arrays["mean"]
 
     def learn(self, turned: Array, h: float) -> None:
         """The sag from what the joints ``turned`` (m) [rad] in h [s] and what drives should have made of the commands."""

@@ -5,26 +5,67 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
+from wbmpc.bases.swerve.compilation import step
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
-from wbmpc.bases.swerve.drives import Smoothing
+from wbmpc.bases.swerve.drives import Smoothing, smooth
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.odometry_filter import OdometryNoise
-from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
-from wbmpc.bases.swerve.smooth_step import smooth_pose
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.checks import not_negative
+from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.wheels import wheel_velocities
 
-Array = NDArray[np.float64]
+#: Sideways speed [m/s] at which a wheel slips; for how long [s] after it the wheel does (drives lag).
+SLIPS_AT, SLIPS_FOR = 0.02, 0.1
+
+
+class SideSlip:
+    """Which wheels slip sideways, under a plan with flips (:meth:`update`) or where a controller says so (:meth:`announce`), one of them
+    every ``period`` [s]: ``left`` (n) [s], for how long each still does."""
+
+    def __init__(self, robot: RobotModel, period: float) -> None:
+        self._geometry, self._input, self._period = swerve_base(robot).geometry, robot.input, period
+        self.left = np.zeros(swerve_base(robot).geometry.modules)
+
+    def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
+        """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""
+        geometry, inputs = self._geometry, self._input
+        v = wheel_velocities(geometry, leg, u[inputs["base"]], u[inputs["leg"]] if "leg" in inputs else 0.0)
+        heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
+        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
+        self.announce(side)
+
+    def announce(self, side: np.ndarray) -> None:
+        """Wheels (n) that slip sideways at ``side`` (n) [m/s] for a period."""
+        self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))
+
+
+@step
+def smooth_pose(
+    m: int, base: int, pose: Floats, drives: Floats, mean: Floats, sag: Floats, arm: Floats, read: Floats, rates: Floats, value: Floats,
+    started: bool, age: float, time: float, h: float,
+) -> None:  # fmt: skip
+    """x and y of the base's ``pose`` (3) and the ``arm`` (m), smoothed, into ``value`` (2 + m). ``drives`` (nu): rates of the inputs, of which
+    the base's begin at ``base``; the arm turns at ``mean`` + ``sag`` (m) [rad/s]."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    vx, vy = drives[base], drives[base + 1]
+    rates[0], rates[1] = c * vx - s * vy, s * vx + c * vy
+    read[0], read[1] = pose[0], pose[1]
+    for i in range(m):
+        rates[2 + i], read[2 + i] = mean[i] + sag[i], arm[i]
+    smooth(2 + m, read, rates, value, started, age, time, h)
+
+
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
 #: A wheel whose zero and radius are so many times less certain than those of the best known wheel counts by the ratio of their variances.

@@ -13,8 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.late_poses import LatePoses
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.bases.swerve.odometry_memory import OdometryMemory
@@ -27,8 +28,6 @@ from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import ModuleGeometry
-
-Array = NDArray[np.float64]
 
 #: An interval longer than this [s] is a gap: a mean of the gyro over it is none, and the wheels show only where it ended.
 GAP = 0.1

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve import odometry_filter
 from wbmpc.bases.swerve.odometry_filter import State
 from wbmpc.bases.swerve.odometry_memory import Moment, OdometryMemory, state_of
@@ -15,8 +16,6 @@ from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
 from wbmpc.types import POSE_AHEAD
-
-Array = NDArray[np.float64]
 
 #: A global pose whose normalized error squared is above this is rejected: 99.99 % of chi-square with 3 degrees of freedom.
 GATE = 21.1

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.clearance.nearest import Finder, Poses
@@ -22,7 +23,6 @@ from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.world import Snapshot
 from wbmpc.ocp import Mode, Reference
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 #: Interval [s] of the places of the reference that are checked.
 CHECK_INTERVAL = 0.2

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.types import GlobalPose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.description import ModuleDescription, SwerveBaseDescription
 from wbmpc.errors import InputError
 from wbmpc.model.joints import Limits, joint_home, joint_limits
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
     from wbmpc.ocp import Constraint
 
-Array = NDArray[np.float64]
 _LOG = logging.getLogger("wbmpc")
 #: By how much [rad] a steering range may be short of half a turn (files say 1.57): a wheel points 0.01 rad off at worst.
 NEARLY = 0.02
@@ -252,7 +252,6 @@ class SwerveBase:
         self._joints = [tree.joint(n) for group in joints.values() for n in group]
 
     def slices(self, vector: ca.SX, state: bool) -> dict[str, ca.SX]:
-        """Parts of a state or an input by group."""
         out: dict[str, ca.SX] = {}
         start = 0
         for group, names in (self.state if state else self.input).items():
@@ -261,7 +260,6 @@ class SwerveBase:
         return out
 
     def root(self, x: ca.SX) -> FramePose:
-        """Pose of the body's frame."""
         if self.quaternion:
             return FramePose(x[0:3], x[3:7], lie.quaternion_to_rotation(x[3:7]))
         up = np.array([0.0, 0.0, 1.0])

@@ -11,14 +11,12 @@ from dataclasses import asdict, dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.odometry_step import WHEELS
 from wbmpc.checks import finite, is_certain
 from wbmpc.errors import InputError
-
-Array = NDArray[np.float64]
 
 #: By so much the wheels' standard deviations grow when the filter was lost: a base that was not carried away has wheels that
 #: are worse than believed.

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State, with_open_legs
 from wbmpc.bases.swerve.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
 from wbmpc.bases.swerve.wheel_fit import WheelFit
 from wbmpc.bases.swerve.wheel_slip import WINDOWS, slip_memory
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
-
-Array = NDArray[np.float64]
 
 
 class Moment(NamedTuple):

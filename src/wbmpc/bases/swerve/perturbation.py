@@ -39,5 +39,4 @@ class SwervePerturbation(WheeledPerturbation):
     brake_fault: BrakeFaults = SoundBrakes()
 
     def module_offsets(self) -> tuple[float, float]:
-        """Of legs and steering."""
         return self.joint_offset, self.steer_offset

@@ -157,7 +157,6 @@ class SwervePlant(WheeledPlant):
         )  # fmt: skip
 
     def index(self) -> None:
-        """Also hinges, drives and wheels."""
         super().index()
         m, names = self.model, self._names
         self._v = {g: np.array([m.joint(n).dofadr[0] for n in part], dtype=int) for g, part in names.items()}
@@ -298,7 +297,6 @@ class SwervePlant(WheeledPlant):
         return np.array([*self.world.base_pose()[:2], self.world.yaw])
 
     def truth(self) -> Truth:
-        """Poses, joints, wheel slip and load."""
         frames = self.world.frames(height=0.0)
         d = self.data
         pose = frames["pose"] if self.base.orientation == "yaw" else self.world.base_pose().copy()

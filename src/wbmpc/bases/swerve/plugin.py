@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import mujoco
 
-from wbmpc.bases.base import BaseType, Calibration, Proposal, System
+from wbmpc.bases.base import Calibration, Proposal
+from wbmpc.bases.common.plugin import CommonBaseType
 from wbmpc.bases.swerve.description import SwerveBaseDescription
 from wbmpc.bases.swerve.model import SwerveBase
 from wbmpc.model.robot import RobotModel
@@ -15,16 +16,11 @@ from wbmpc.model.tree import read_tree
 from wbmpc.robots import RobotDescription
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from wbmpc.arrays import Array
     from wbmpc.bases.swerve.calibrator import SwerveCalibrator
+    from wbmpc.bases.swerve.controller import SwerveController
     from wbmpc.bases.swerve.leg_folding import LegFolding
-    from wbmpc.bases.swerve.perturbation import SwervePerturbation
     from wbmpc.bases.swerve.plant import SwervePlant
-    from wbmpc.bases.swerve.ros import SwerveRosAdapter
-    from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
-    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.control.protocols import Controller
     from wbmpc.mpc.mpc import MPC
     from wbmpc.obstacles.world import Obstacles
@@ -34,13 +30,16 @@ if TYPE_CHECKING:
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.simulation.world import Edit
 
-    Array = NDArray[np.float64]
 
-
-class SwerveBaseType(BaseType):
+class SwerveBaseType(CommonBaseType):
     """What generic code may ask of swerve bases."""
 
     Description = SwerveBaseDescription
+    parts: ClassVar[Mapping[str, str]] = {
+        "perturbation": "bases.swerve.perturbation:SwervePerturbation", "plant": "bases.swerve.plant:SwervePlant",
+        "ros_settings": "bases.swerve.ros_settings:SwerveRosSettings", "ros": "bases.swerve.ros:SwerveRosAdapter",
+        "ros_plant": "bases.swerve.ros_plant:SwerveRosPlant",
+    }  # fmt: skip
     calibration_channels = ("wheel", "steer", "leg")
 
     def check(self, description: RobotDescription, model: mujoco.MjModel) -> None:
@@ -58,16 +57,9 @@ class SwerveBaseType(BaseType):
         base.warn(description)
         return base
 
-    def perturbation(self) -> type[SwervePerturbation]:
-        """Steering encoders and brakes."""
-        from wbmpc.bases.swerve.perturbation import SwervePerturbation
-
-        return SwervePerturbation
-
     def plant(
         self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
     ) -> SwervePlant:
-        """The simulated robot at home."""
         from wbmpc.bases.swerve.plant import SwervePlant
 
         return SwervePlant(robot.description, perturbation=perturbation, seed=seed, edit=edit)
@@ -81,23 +73,14 @@ class SwerveBaseType(BaseType):
 
         return make_mpc(robot, obstacles, stability, progress=progress, **changes)
 
-    def system(
-        self,
-        robot: RobotModel,
-        seed: int,
-        perturbation: Perturbation | None = None,
-        mpc: MPC | None = None,
-        edit: Edit | None = None,
-        calibration: Calibration | None = None,
-    ) -> System:
-        """A perturbed plant at home, whose controller brings end effector, base and legs to goals set while it runs."""
-        from wbmpc.bases.swerve.system import make_system
+    def controller(
+        self, robot: RobotModel, mpc: MPC, plant: SwervePlant, period: float, calibration: Calibration | None
+    ) -> SwerveController:
+        from wbmpc.bases.swerve.system import make_controller
 
-        plant = self.plant(robot, perturbation, seed, edit)
-        return make_system(robot, plant, mpc or self.mpc(robot), calibration)
+        return make_controller(robot, plant.truth().pose, period, calibration)
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
-        """Steer zeros and radii."""
         from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 
         calibrator = self.calibrator(robot)
@@ -119,26 +102,7 @@ class SwerveBaseType(BaseType):
 
         return configurations(robot)
 
-    def ros_settings(self, description: RobotDescription) -> type[SwerveRosSettings]:
-        """Weights of the swerve problem, gyro and legs."""
-        from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
-
-        return SwerveRosSettings
-
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> SwerveRosAdapter:
-        """The adapter that reads joint states and publishes speeds."""
-        from wbmpc.bases.swerve.ros import SwerveRosAdapter
-
-        return SwerveRosAdapter(robot, settings, period)
-
-    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> SwerveRosPlant:
-        """Follows speeds and brakes."""
-        from wbmpc.bases.swerve.ros_plant import SwerveRosPlant
-
-        return SwerveRosPlant(robot, self.plant(robot, perturbation, seed))
-
     def calibrator(self, robot: RobotModel) -> SwerveCalibrator:
-        """From encoders, gyro and global poses."""
         from wbmpc.bases.swerve.calibrator import SwerveCalibrator
 
         return SwerveCalibrator(robot)

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, Tick, brake_monitor
@@ -26,7 +26,7 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of, spatial_covariance
+from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of, planar_estimate
 from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
@@ -34,7 +34,6 @@ from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
 
-Array = np.ndarray
 #: The monitor of brakes takes so many ticks at once at most: 10 s of them.
 BACKLOG = 1000
 #: Speed of legs in a guess [rad/s]; wheels point along a leg's circle within this [rad].
@@ -130,7 +129,6 @@ class DeferredMonitor:
 
     @property
     def real(self) -> list[BrakeFault]:
-        """As of the monitor."""
         return self.monitor.real
 
     def update(self, t: float, leg: Array, brake: Array, rate: Array, /) -> list[BrakeFault]:
@@ -139,7 +137,6 @@ class DeferredMonitor:
         return []
 
     def restart_clock(self) -> None:
-        """As of the monitor."""
         self.monitor.restart_clock()
 
     def judged(self) -> Iterator[BrakeFault]:
@@ -168,7 +165,6 @@ class BusSwerveController(SwerveController):
         self._alone = threading.Lock()  # a tick may still run while the node's thread takes over
 
     def measure(self, measurement: SwerveMeasurement) -> None:
-        """Take in the message of this tick."""
         with self._alone:
             super().measure(measurement)
 
@@ -253,7 +249,6 @@ class SwerveRosAdapter(BaseAdapter):
         return swerve_problem(self.robot, self.settings.mpc, cost, accelerations=True)
 
     def leg_commands(self, node: Node, ready: Callable[[], str], now: Callable[[], Now | None]) -> Legs | None:
-        """Of legs with brakes."""
         return None if self.brakes is None else Legs(node, self.robot, self.settings, ready, now)
 
     # ------------------------------------------------------------------ commands
@@ -262,7 +257,6 @@ class SwerveRosAdapter(BaseAdapter):
         return self._rest
 
     def groups(self, command: SwerveCommand) -> Groups:
-        """A command by groups."""
         return {g: getattr(command, g) for g in self._rest}
 
     # ------------------------------------------------------------------ states
@@ -333,12 +327,8 @@ class SwerveRosAdapter(BaseAdapter):
         if seen is None:
             return None
         odometry = self.controller.estimator.odometry
-        x, y, yaw = seen[1][self.robot.state["base"]]
-        v = odometry.twist
-        return Estimate(
-            np.array([x, y, self.robot.base.body_height]), np.asarray(lie.quaternion_about((0, 0, 1), yaw)),
-            np.array([v[0], v[1], 0.0, 0.0, 0.0, v[2]]), spatial_covariance(odometry.covariance), spatial_covariance(odometry.twist_covariance),
-        )  # fmt: skip
+        pose, height = seen[1][self.robot.state["base"]], self.robot.base.body_height
+        return planar_estimate(pose, odometry.twist, height, odometry.covariance, odometry.twist_covariance)
 
 
 def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = None) -> dict[str, Reference]:

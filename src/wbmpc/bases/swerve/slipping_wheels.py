@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.slip_step import detect_contradiction
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry, outlier_wheel
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 
-Array = NDArray[np.float64]
 #: Contradiction of the wheels [m/s] that is looked into, averaged over [s]; for how long [s] a wheel is not believed after it.
 CONTRADICTS, OVER, HOLD = 0.01, 0.04, 0.1
 #: Wheels whose velocities of the base are nearer [m/s] agree.
@@ -20,7 +20,8 @@ SHARE, FEWEST = 0.8, 4
 
 
 class SlippingWheels:
-    """Finds the ``wheels`` that go elsewhere than most do. ``odd`` (n): for how long [s] each is not believed yet. ``backend``: machine
+    """Finds the ``wheels`` that go elsewhere than most do. ``odd`` (n): for how long [s] each is not believed yet; ``seen`` (2n) [m/s]:
+    with a gyro the base's velocity by each wheel, averaged. ``backend``: machine
     code, or the same source as ordinary Python.
 
     With a gyro every wheel gives a velocity of the base, its own less what the turn does at its place; the largest group of
@@ -31,18 +32,13 @@ class SlippingWheels:
     def __init__(self, geometry: ModuleGeometry, wheels: WheelOdometry, backend: Backend = "compiled") -> None:
         n = geometry.modules
         self._geometry, self.odd, self._leg = geometry, np.zeros(n), np.zeros(n)
-        self._contradiction, self._velocity = np.zeros(2 * n), np.zeros(2 * n)
+        self._contradiction, self.seen = np.zeros(2 * n), np.zeros(2 * n)
         arrays = {
             "hinge": np.array(geometry.hinge, float).ravel(), "length": np.array(geometry.leg_length, float),
             "leg_heading": np.array(geometry.leg_heading, float), "slides": np.array(geometry.slides, float), "leg": self._leg, "odd": self.odd,
-            "contradiction": self._contradiction, "velocity": self._velocity, **wheels.arrays,
+            "contradiction": self._contradiction, "velocity": self.seen, **wheels.arrays,
         }  # fmt: skip
         self._detect_contradiction = bind(detect_contradiction, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)
-
-    @property
-    def seen(self) -> Array:
-        """With a gyro the base's velocity (2n) [m/s] by each wheel, averaged, as an array that goes on."""
-        return self._velocity
 
     @property
     def contradictory(self) -> bool:
@@ -59,7 +55,7 @@ class SlippingWheels:
 
     def _find(self, axes: Array, gyro: bool, known: NDArray[np.bool_]) -> Array:
         """Which wheels (n) bool contradict the others; none where no two agree."""
-        n, velocity = len(axes), self._velocity.reshape(-1, 2)
+        n, velocity = len(axes), self.seen.reshape(-1, 2)
         if not gyro:
             i, share = outlier_wheel(self._contradiction.reshape(-1, 2), axes)
             return (np.arange(n) == i) & (share > SHARE) & (n >= FEWEST)

@@ -1,24 +1,127 @@
-"""A simulated swerve robot with its controller and MPC: what views and first runs start from."""
+"""A simulated swerve robot with its controller and MPC: what views and first runs start from.
+
+Wheels turn first: a guess for swerve bases with goals that are not known in advance.
+
+At standstill the linearized rolling rows do not see the steering angles, so a base whose wheels point across its way would stay
+where it is (see :mod:`wbmpc.bases.swerve.steering_planner`, which needs a preview of the motion: here it is the straight way to the goal).
+
+Wheels turn first, for swerve bases that go along a path at their own speed: the motion that is foreseen is the path's.
+
+At standstill the linearized rolling rows do not see the steering angles, and progress does not run away as a clock does: without a guess
+a base whose wheels point across its path would wait for good.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from wbmpc.bases.base import Calibration, System
+import numpy as np
+
+from wbmpc.arrays import Array
+from wbmpc.bases.base import Calibration
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
-from wbmpc.bases.swerve.goal_guess import GoalGuess
-from wbmpc.bases.swerve.path_guess import PathGuess
-from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.steering_planner import LEVER, SteeringGuess, speed
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.default_problem import stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.path import Following, PathProgress
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE, MpcSettings, StabilitySettings
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings, StabilitySettings
+from wbmpc.solver import Trajectory
+
+if TYPE_CHECKING:
+    from wbmpc.mpc.mpc import MPC
+
+#: Way [m] over which the base's direction on the path is measured.
+WAY = 1e-3
+
+
+class PathGuess:
+    """Callable for :class:`wbmpc.mpc.mpc.MPC` (``guess=``): the base goes as the path's references of the state (``along``) say."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot, self._base = robot, robot.state["base"]
+        self._guess = SteeringGuess(robot, self.preview)
+        self._path: PathProgress | None = None
+
+    def bind(self, mpc: MPC) -> None:
+        """Whose path it is."""
+        self._path = mpc.path
+        self._guess.bind(mpc)
+
+    def _following(self) -> Following | None:
+        following = None if self._path is None else self._path.following
+        return following if following is not None and "state" in following.along else None
+
+    def __call__(self, t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
+        if self._following() is None:
+            return None
+        found = self._guess(t, x0, trajectory)
+        if found is not None and self._path is not None:
+            # progress where the base moves
+            moving = speed(found.u[:, self.robot.input["base"]]) > 0.0
+            rate = np.append(np.diff(self._path.desired(t, found.grid)), 0.0)
+            self._path.write(found, np.concatenate([[0.0], np.cumsum(np.where(moving, rate[:-1], 0.0))]))
+        return found
+
+    def preview(self, times: Array, pose: Array) -> Array:
+        """Body twists (n, 3) of the base at ``times`` (n) [s], of which the first is now."""
+        following = self._following()
+        assert following is not None and self._path is not None
+        since = times - times[0]
+        s, h = self._path.desired(float(times[0]), since), 1e-2
+        rate = (self._path.desired(float(times[0]), since + h) - s) / h
+        at, ahead = (following.along["state"](v)[:, self._base] for v in (s, s + WAY))
+        way = (ahead - at) / WAY * rate[:, None]
+        c, q = np.cos(at[:, 2]), np.sin(at[:, 2])
+        return np.stack([c * way[:, 0] + q * way[:, 1], c * way[:, 1] - q * way[:, 0], way[:, 2]], axis=1)
+
+
+#: Speed [m/s] of the way that is foreseen, its least time [s]; a goal nearer than this [m] is reached.
+SPEED, MINIMUM, THERE = 0.4, 1.0, 0.03
+
+
+class GoalGuess:
+    """Callable for :class:`wbmpc.mpc.mpc.MPC` (``guess=``): the base's goal is the present reference of the state."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot, self._base = robot, robot.state["base"]
+        self.goal = robot.home[self._base].copy()
+        self._guess = SteeringGuess(robot, self.preview)
+        self._mpc: MPC | None = None
+
+    def bind(self, mpc: MPC) -> None:
+        """Whose reference the goal is."""
+        self._mpc = mpc
+        self._guess.bind(mpc)
+
+    def __call__(self, t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
+        assert self._mpc is not None, "the guess of an MPC"
+        goal = self._mpc.reference["state"].at(t)[self._base]
+        if _size(goal - self.goal) > THERE:
+            self.goal, self._guess = goal.copy(), SteeringGuess(self.robot, self.preview)
+            self._guess.bind(self._mpc)
+        return self._guess(t, x0, trajectory)
+
+    def preview(self, times: Array, pose: Array) -> Array:
+        """Body twists (n, 3) of a straight way with a cosine's profile from ``pose`` (3) now to the goal."""
+        way = self.goal - pose
+        if _size(way) < THERE:
+            return np.zeros((len(times), 3))
+        length = max(0.5 * np.pi * _size(way) / SPEED, MINIMUM)
+        share = np.clip((times - times[0]) / length, 0.0, 1.0)
+        yaw = pose[2] + 0.5 * (1.0 - np.cos(np.pi * share)) * way[2]
+        rate, c, s = 0.5 * np.pi / length * np.sin(np.pi * share), np.cos(yaw), np.sin(yaw)
+        return rate[:, None] * np.stack([c * way[0] + s * way[1], c * way[1] - s * way[0], way[2] + 0.0 * c], axis=1)
+
+
+def _size(way: Array) -> float:
+    return float(np.hypot(way[0], way[1]) + LEVER * abs(way[2]))
+
 
 #: Legs pull harder than in tracking: their configuration is asked for, not left over.
 LEG_WEIGHT = 20.0
@@ -38,15 +141,10 @@ def make_mpc(
     return mpc
 
 
-def make_system(robot: RobotModel, plant: SwervePlant, mpc: MPC, calibration: Calibration | None = None) -> System:
-    """Controller of a plant that stands at home; ``calibration`` of its wheels (:class:`WheelCalibration`)."""
-    timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)
+def make_controller(
+    robot: RobotModel, pose: Array, period: float, calibration: Calibration | None = None
+) -> SwerveController:
+    """Of a plant that stands at ``pose`` (3); ``calibration`` of its wheels (:class:`WheelCalibration`)."""
     wheels = None if calibration is None else WheelCalibration(**calibration)
-    controller = SwerveController(
-        robot,
-        plant.truth().pose,
-        timing.period,
-        tracking=TrackingSettings(lag=ACTUATOR_TIME_CONSTANT),
-        estimation=EstimatorSettings(calibration=wheels),
-    )
-    return System(plant, controller, mpc, timing)
+    tracking, estimation = TrackingSettings(lag=ACTUATOR_TIME_CONSTANT), EstimatorSettings(calibration=wheels)
+    return SwerveController(robot, pose, period, tracking=tracking, estimation=estimation)

@@ -9,21 +9,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
 from wbmpc.bases.swerve.drives import DryFriction
-from wbmpc.bases.swerve.estimator import SwerveEstimator
+from wbmpc.bases.swerve.estimator import SideSlip, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.bases.swerve.side_slip import SideSlip
 from wbmpc.bases.swerve.tracking_step import integrate, predict, simulate_drives, track
 from wbmpc.checks import not_negative
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 
-Array = NDArray[np.float64]
 #: Gain [1/s] of the steering servo while it aligns wheels: the base waits for them.
 ALIGN_GAIN = 15.0
 

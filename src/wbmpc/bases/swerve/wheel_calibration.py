@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.checks import is_covariance, not_negative, numbers, real_number
 from wbmpc.errors import InputError
 from wbmpc.estimation.calibration_file import ZERO, ZERO_RANGE, Range, read_calibration, read_rows
 from wbmpc.model.wheels import ModuleGeometry
 from wbmpc.output_file import write_text
-
-Array = NDArray[np.float64]
 
 #: Standard deviations of an uncalibrated base: steering zero (with the leg's, which turns the wheel as well)
 #: [rad], radius of one wheel and of all of them, relative.

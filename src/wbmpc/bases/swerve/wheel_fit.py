@@ -10,14 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import Backend, Step, bind
 from wbmpc.model.wheels import ModuleGeometry
-
-Array = NDArray[np.float64]
 
 
 class Wheels(NamedTuple):

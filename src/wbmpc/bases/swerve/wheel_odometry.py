@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.wheel_fit import WheelFit
 from wbmpc.checks import each, numbers, positive
 from wbmpc.model.wheels import ModuleGeometry
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.run_files import TEXTS
 
-Array = NDArray[np.float64]
 #: Times of channels that differ by less [s] are the same (a microsecond's rounding, or single precision, is no other time).
 SAME = 1e-4
 #: A pose so little [s] before the first message or after the last counts there if the base stands: over so long [s] of messages

@@ -5,12 +5,10 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import compiled
 from wbmpc.kernel.ir import Floats
-
-Array = NDArray[np.float64]
 
 #: Windows over which squares are averaged; ratio of squares that is sudden; speed [m/s] of a base that moves.
 MEMORY, SUDDEN, MOVING, FEW = 10.0, 6.0, 1e-3, 6.0

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
@@ -17,7 +18,6 @@ from wbmpc.checks import numbers
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
 
-Array = NDArray[np.float64]
 #: Gain [1/s] of the loop that brings measured steering angles to those of the plan.
 STEERING_GAIN = 10.0
 #: Standard deviation [rad] of a wheel's slip over each radian that it turns.
@@ -111,7 +111,6 @@ class WheelsController(PlanarController):
         return self.odometry.wheels.corrected(rows)
 
     def stop(self) -> PlanarCommand:
-        """Everything at rest."""
         super().stop()
         if self.measured is not None:
             self.planned = np.array(self.measured.steer, float)

@@ -35,18 +35,14 @@ class WheelsBaseDescription(PlanarBaseDescription):
     casters: tuple[tuple[Place, Place], ...] = ()
 
     def wheel_joints(self) -> list[str]:
-        """Joints of driven wheels."""
         return [w.joint for w in self.wheels if w.driven]
 
     def joint_groups(self) -> dict[str, list[str]]:
-        """Steering joints."""
         steering = self.steering_joints()
         return {"steer": steering} if steering else {}
 
     def steering_joints(self) -> list[str]:
-        """Those of the wheels that have one."""
         return [w.steer for w in self.wheels if w.steer]
 
     def joints(self) -> list[str]:
-        """Of every wheel its steering joint and its own."""
         return [n for w in self.wheels for n in (w.steer, w.joint) if n]

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.model import PlanarBase, standing_on
 from wbmpc.bases.planar_motion.wheels import FixedWheels
 from wbmpc.bases.wheels.description import WheelsBaseDescription
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from wbmpc.model.wheels import ModuleGeometry
     from wbmpc.ocp import Constraint
 
-Array = NDArray[np.float64]
 #: Of the rows that keep steered tires from slipping sideways: measured steering angles never agree exactly.
 SOFTNESS = 1e-6
 #: How far tires that do not steer may disagree: angle [rad], distance [m] of their axles' lines.

@@ -32,7 +32,6 @@ class WheelsPlant(PlanarPlant):
             add_rollers(spec, spec.joint(name), radius, float(np.deg2rad(rollers)), friction)
 
     def add_supports(self, spec: mujoco.MjSpec, weight: float) -> None:
-        """Wheels without a drive, steering drives, casters."""
         base, friction = self.description.base, [self.draw.friction, 0.005, 1e-4]
         assert isinstance(base, WheelsBaseDescription)
         for wheel in base.wheels:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
@@ -13,17 +13,12 @@ from wbmpc.bases.planar_motion.plugin import PlanarBaseType
 from wbmpc.bases.planar_motion.proposal import RADIUS, RIM_ACCELERATION, RIM_SPEED
 from wbmpc.bases.wheels.description import WheelsBaseDescription
 from wbmpc.bases.wheels.model import WheelsBase
-from wbmpc.model.robot import RobotModel
 from wbmpc.robots import RobotDescription
 from wbmpc.robots.findings import Finding
 
 if TYPE_CHECKING:
-    from wbmpc.bases.wheels.control import WheelsController
-    from wbmpc.bases.wheels.plant import WheelsPlant
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
-    from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
 
 #: Steering rate [rad/s] and acceleration [rad/s²] where a file has no limit.
 STEER_RATE, STEER_ACCELERATION = 5.0, 60.0
@@ -33,6 +28,11 @@ class WheelsBaseType(PlanarBaseType):
     """What generic code may ask of bases on a mix of wheels."""
 
     Description = WheelsBaseDescription
+    parts: ClassVar[Mapping[str, str]] = {
+        **PlanarBaseType.parts,
+        "plant": "bases.wheels.plant:WheelsPlant",
+        "controller": "bases.wheels.control:WheelsController",
+    }
 
     def propose(self, mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
         """One steered wheel at least: tricycles, cars, powered casters. Others have a base type of their own."""
@@ -69,19 +69,4 @@ class WheelsBaseType(PlanarBaseType):
         return found
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> WheelsBase:
-        """The kinematic model."""
         return WheelsBase(description, *self.read(description, spec))
-
-    def plant(
-        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
-    ) -> WheelsPlant:
-        """The simulated robot at home."""
-        from wbmpc.bases.wheels.plant import WheelsPlant
-
-        return WheelsPlant(robot, perturbation=perturbation, seed=seed, edit=edit)
-
-    def controller(self) -> type[WheelsController]:
-        """Of wheels that steer."""
-        from wbmpc.bases.wheels.control import WheelsController
-
-        return WheelsController

@@ -1,0 +1,1 @@
+"""What base types of this package share; no base type itself."""
