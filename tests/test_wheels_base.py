@@ -13,8 +13,9 @@ import yaml
 import wbmpc as wb
 from planar_driving import ideal_plant
 from wbmpc import lie
-from wbmpc.bases.planar_motion.messages import PlanarCommand
-from wbmpc.bases.wheels.control import WheelsOdometry
+from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
+from wbmpc.bases.wheels.control import WheelsController, WheelsOdometry
+from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.robots import load_spec
 from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.tasks.following import PathTaskSettings
@@ -144,6 +145,52 @@ def test_steered_tires_roll_in_the_plan(tmp_path: Path) -> None:
         robot.base.matrices(x[robot.state["steer"]])[1] @ u[:7] * RADIUS for x, u in zip(states, inputs, strict=True)
     ]
     assert np.abs(slip).max() < 2e-3
+
+
+class Constant:
+    """A policy of one input forever."""
+
+    end = 1.0
+
+    def __init__(self, u: np.ndarray) -> None:
+        self.u = u
+
+    def feedforward(self, t: float) -> np.ndarray:
+        return self.u.copy()
+
+
+@pytest.mark.parametrize("kind", ["beside", "casters"])
+def test_wheels_roll_as_their_steering_turns(kind: str, tmp_path: Path) -> None:
+    """Steering that is behind its plan is ordered to catch up, and wheels beside it roll along, where they are: else each holds the
+    other back. Truth: MuJoCo's velocity of each tire's lowest point, along its heading, at the measured angles and ordered rates."""
+    robot = wb.load_robot(write(tmp_path, KINDS[kind]))
+    names = robot.state.groups["steer"]
+    n, driven = len(names), len(robot.description.base.wheel_joints())
+    angles, u = np.linspace(0.2, 0.6, n), np.array([0.02, 0.01, 0.1, *np.linspace(-0.2, 0.3, n), 0.0, 0.0])
+    controller, plans = WheelsController(robot, np.zeros(3), 0.0025, lag=0.02), PolicyQueue()
+    plans.add(0.0, Constant(u))  # type: ignore[arg-type]
+    for k in range(100):
+        controller.measure(PlanarMeasurement(0.0025 * k, np.zeros(driven), robot.home[-2:], steer=angles))
+        command = controller.command(0.0025 * k, plans)
+    # 0.25 s of the plan's rates, of which the drives still owe 20 ms, are missing
+    np.testing.assert_allclose(command.steer, u[3:-2] * (1.0 + 10.0 * 0.23), rtol=0.05)
+    spec = load_spec(robot.description)
+    spec.body("chassis").add_freejoint(name="root")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[2] = HEIGHT
+    data.qvel[:6] = [u[0], u[1], 0.0, 0.0, 0.0, u[2]]
+    for name, angle, rate in zip(names, angles, command.steer, strict=True):
+        data.joint(name).qpos[0], data.joint(name).qvel[0] = angle, rate
+    for name, rate in zip(robot.description.base.wheel_joints(), command.wheel, strict=True):
+        data.joint(name).qvel[0] = rate
+    mujoco.mj_forward(model, data)
+    for wheel in robot.description.base.wheels:
+        joint, velocity, jacobian = model.joint(wheel.joint), np.zeros(3), np.zeros((3, model.nv))
+        along, body = np.cross(data.xaxis[joint.id], [0.0, 0.0, 1.0]), int(joint.bodyid[0])
+        mujoco.mj_jac(model, data, jacobian, None, data.xpos[body] - [0.0, 0.0, RADIUS], body)
+        velocity = jacobian @ data.qvel
+        assert abs(along @ velocity) < 0.002, (wheel.joint, along @ velocity)
 
 
 @pytest.mark.parametrize(("kind", "base"), [("tricycle", {}), ("beside", {"casters": [[0.3, 0.0], [-0.3, 0.0]]})])

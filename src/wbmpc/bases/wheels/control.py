@@ -70,7 +70,8 @@ class WheelsOdometry(PlanarOdometry):
 
 class WheelsController(PlanarController):
     """The MPC's state has the **planned** steering angles, which keep its rolling rows consistent; a feedback loop removes the difference
-    to the measured angles."""
+    to the measured angles. Wheels turn as they have to where their steering is and as it really turns: one beside its steering axis
+    that turned as planned would hold its steering back, by more than that can do against it."""
 
     odometry: WheelsOdometry
 
@@ -81,6 +82,7 @@ class WheelsController(PlanarController):
         self._moving = slice(0, self._size)
         self._steer = robot.input["steer"] if steering else slice(0, 0)
         self.planned: Array = np.zeros(steering)
+        self._turning: Array = np.zeros(steering)  # rates of the steering as lagging drives have them
         self._placed = False  # whether planned angles have begun from measured ones
 
     @classmethod
@@ -106,28 +108,37 @@ class WheelsController(PlanarController):
 
     def wheel_matrix(self) -> Array:
         """(n, m + s): rates of driven wheels by the base's input and the steering rates, at the planned steering angles."""
+        return self._wheel_rows(self.planned)
+
+    def _wheel_rows(self, steer: Array) -> Array:
         base = wheels_base(self.robot)
-        rows = np.asarray(base.by_input(base.matrices(self.planned)[0]))
+        rows = np.asarray(base.by_input(base.matrices(steer)[0]))
         return self.odometry.wheels.corrected(rows)
 
     def stop(self) -> PlanarCommand:
         super().stop()
         if self.measured is not None:
-            self.planned = np.array(self.measured.steer, float)
+            self.planned = np.array(self.measured.steer, float) + self.lag * self._turning
         base = wheels_base(self.robot)
         driven = sum(c.driven for c in base.wheel_contacts)
         return PlanarCommand.stop(driven, len(self.robot.input.groups["arm"]), base.steering)
 
     def command(self, t: float, plans: PolicyQueue) -> PlanarCommand:
         """Drive speeds for this tick; a stop once the plan has run out."""
-        command = super().command(t, plans)
-        if not self.planned.size or not self.sent.any():
+        command, n = super().command(t, plans), self.planned.size
+        if command.steer.size == n:  # a stop, or nothing steers
             return command
         assert self.measured is not None
-        rates = self.sent[self._steer] + STEERING_GAIN * (self.planned - self.measured.steer)
-        return PlanarCommand(command.wheel, command.arm, rates)
+        limits, part = self.robot.limits, self._steer
+        behind = self.planned - self.lag * self._turning - self.measured.steer
+        moving = self.sent[self._moving].copy()
+        moving[-n:] = np.clip(moving[-n:] + STEERING_GAIN * behind, limits.input_lower[part], limits.input_upper[part])
+        wheel = self._wheel_rows(self.planned - behind) @ moving
+        slower = max(1.0, float(np.max(np.abs(wheel) / wheels_base(self.robot).wheel_upper)))
+        return PlanarCommand(wheel / slower, command.arm, moving[-n:] / slower)
 
     def _note(self, sent: Array) -> None:
         super()._note(sent)
         self.planned = self.planned + sent[self._steer] * self.period
+        self._turning = self._turning + self._blend * (sent[self._steer] - self._turning)
         self._rates[self._steer] = 0.0  # planned angles do not lag
