@@ -37,7 +37,7 @@ def short(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_a_run_knows_the_radii_that_its_robot_has(robot: RobotModel, short: None, monkeypatch: Any) -> None:
-    settings = configure(TaskSettings, ["calibration=drive", f"robot={robot.description.source}"], "task")
+    settings = configure(TaskSettings, ["plant.calibration=drive", f"robot={robot.description.source}"], "task")
     settings = settings.model_copy(update={"plant": PLANT})
     kind = base_type("differential")
     made = make_system(robot, kind.mpc(robot), settings, 0)

@@ -13,12 +13,11 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, SupportMarginSettings, WheelLoadSettings
-from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.stability import StanceOf, leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
-from wbmpc.tasks.settings import TaskSettings, moving_base
+from wbmpc.tasks.settings import MujocoPlant, TaskSettings, moving_base
 from wbmpc.types import Truth
 
 Array = np.ndarray
@@ -36,7 +35,7 @@ class TipOverSettings(TaskSettings):
     0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
-    plant: AnyPerturbation = AnyPerturbation(payload=10.0, wheel_radius_each=0.0)
+    plant: MujocoPlant = MujocoPlant(payload=10.0, wheel_radius_each=0.0)
     stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
     settle_time: float = Field(0.5, ge=0, le=60)
@@ -148,8 +147,6 @@ def check_stands(robot: RobotModel, payload: float, kept: float = 0.0) -> None:
 
 def build(settings: TipOverSettings, seed: int) -> Scenario:
     """One run."""
-    if settings.physics != "mujoco":
-        raise InputError("tip-over: physics=kinematic: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
     moving_base(robot, "tip-over")
     robot = reaching(robot, settings.direction, settings.legs)
