@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from wbmpc.bases import base_type
-from wbmpc.configuration import KIND, OneOf
+from wbmpc.configuration import OneOf
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
@@ -50,20 +49,12 @@ class KinematicPlant(Settings):
     kind: Literal["kinematic"] = "kinematic"
 
 
-def _mujoco_alone(value: Any) -> Any:
-    return {KIND: "mujoco", **value} if isinstance(value, Mapping) else value
-
-
-#: The simulated robot; settings without a kind are MuJoCo's.
-SimulatedPlant = Annotated[OneOf[MujocoPlant | KinematicPlant], BeforeValidator(_mujoco_alone)]
-
-
 class SimulationSettings(Settings):
     """``plant``: mujoco (:class:`MujocoPlant`) or kinematic (:class:`KinematicPlant`); ``computation_delay`` [s]: modeled time of a solve;
     ``settle_time`` [s]: before the task begins, at rest; ``obstacles``: a YAML file of what stands and moves in the simulated world
     (docs/how-to/obstacles.md)."""
 
-    plant: SimulatedPlant = MujocoPlant()
+    plant: OneOf[MujocoPlant | KinematicPlant] = MujocoPlant()
     computation_delay: float = Field(COMPUTATION_DELAY, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
     obstacles: Annotated[Path | None, ReadBy(load_scene)] = None
