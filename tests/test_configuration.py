@@ -253,7 +253,7 @@ def test_a_choice_inside_of_a_choice_is_given_in_any_order(order: int) -> None:
 
 @pytest.mark.parametrize("name", REGISTRY)
 def test_a_name_is_that_of_a_section_in_all_choices_or_in_none(name: str) -> None:
-    """What is a value in one choice and a section in another could not be told apart on the command line."""
+    """What is a value in one choice and a section in another could not be distinguished on the command line."""
     found = keys(REGISTRY[name].config_type)
     assert not [key for key in found if any(other.startswith(f"{key}.") for other in found)]
 

@@ -38,7 +38,7 @@ from wbmpc.units import force_unit
 
 IDEALIZATIONS = [
     "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
-    "is flat; with estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
+    "is flat; with controller.estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
     "the geometry and masses of Rezero's arm are assumed (not published)",
     "the omni wheels act as torques between ball and base; their traction limit is a clamp (limits.wheel_effort: 4 N m)",
     "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
