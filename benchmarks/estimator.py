@@ -15,10 +15,10 @@ from wbmpc.studies.minniti2019.steps import EXPERIMENT, RezeroStepsSettings
 
 CASES: dict[str, dict[str, object]] = {
     "filter": {},
-    "truth": {"estimator": "truth"},
+    "truth": {"controller": {"estimator": "truth"}},
     "filter, 1 kg": {"payload": 1.0},
-    "filter, no observer": {"estimate_disturbance": False},
-    "filter, 1 kg, no observer": {"payload": 1.0, "estimate_disturbance": False},
+    "filter, no observer": {"controller": {"disturbance": "none"}},
+    "filter, 1 kg, no observer": {"payload": 1.0, "controller": {"disturbance": "none"}},
 }
 
 

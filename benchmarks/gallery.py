@@ -116,9 +116,7 @@ def paths(robot: RobotModel, length: float) -> Iterator[dict[str, Any]]:
 def reached(robot: RobotModel, path: dict[str, Any]) -> bool:
     """Whether a standing robot has a posture within its ranges, away from singular ones, for every pose of one lap: by SciPy's least
     squares, each from the posture before."""
-    task = Task(
-        PathTaskSettings.model_validate({"robot": robot.description.name, "physics": "kinematic", "path": path})
-    )
+    task = Task(PathTaskSettings.model_validate({"robot": robot.description.name, "plant": "kinematic", "path": path}))
     lower, upper = robot.limits.state_lower + EDGE, robot.limits.state_upper - EDGE
     x = np.clip(robot.home, lower, upper)
     for goal in task.path.at(np.linspace(0.0, task.path.length / path["laps"], DENSE)):
@@ -137,7 +135,7 @@ def reached(robot: RobotModel, path: dict[str, Any]) -> bool:
 def examine(name: str, robot: str, quick: bool = False, seed: int = 1) -> Row:
     """All paths and jumps of one robot (its name or file); ``quick``: a short path and one jump."""
     model = load_robot(robot)
-    fixed = {"robot": robot, "physics": "kinematic"}
+    fixed = {"robot": robot, "plant": "kinematic"}
     ways = list(paths(model, SHORT if quick else LENGTH))[: 1 if quick else None]
     runs = [
         run_scenario("path", track.build, PathTaskSettings.model_validate({**fixed, "path": p}), seed) for p in ways

@@ -17,7 +17,7 @@ from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.bases.ball.settings import PUSHED_SPEED, STEPS_AND_PUSHES
+from wbmpc.bases.ball.settings import PUSHED_SPEED, STEPS_AND_PUSHES, mpc_settings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_problem
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -99,12 +99,12 @@ def direction(rng: np.random.Generator, size: int = 2) -> Array:
 
 # ---------------------------------------------------------------------- ball robot
 def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cost: RezeroCost = BALL_COST) -> Rig:
-    settings = RezeroStepsSettings(cost=cost)
-    planner = settings.mpc.model_copy(update={"barrier_mu": BALL_MU, "rate": BALL_RATE})
+    settings = RezeroStepsSettings()
+    planner = mpc_settings(BALL_MU).model_copy(update={"rate": BALL_RATE})
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = variant.mpc(lambda s: rezero_problem(robot, s, cost), planner)
     set_home_references(mpc, robot, torque)
-    plant = BallPlant(robot.description, home, torque, settings.plant, seed)
+    plant = BallPlant(robot.description, home, torque, settings.perturbation, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, planner.rate, planner.computation_delay)
     estimator = BallEstimator(robot, home)
     controller = BallController(

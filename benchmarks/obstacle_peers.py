@@ -208,7 +208,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the scene")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     args = parser.parse_args()
-    settings = Among(robot=args.robot, physics="kinematic")
+    settings = Among(robot=args.robot, plant="kinematic")
     runs: dict[str, Callable[[Job, str], Figures]] = {"hard rows": partial(by_mpc, barrier=None)}
     for mu, delta in BARRIERS:
         runs[f"relaxed barriers, μ {mu:g}, δ {1e3 * delta:g} mm"] = partial(by_mpc, barrier=RelaxedBarrier(mu, delta))

@@ -46,7 +46,7 @@ from wbmpc.tasks.paths import SinePath
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0
-BALL = RezeroSettings(cost=RezeroCost())
+BALL = RezeroSettings()
 PATH = SinePath(0.498, 15.96, 6, 0.255, start=0.5, ramp=2.0)
 END_EFFECTOR_ORIENTATION = lie.rotation_to_quaternion(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
 
@@ -101,7 +101,7 @@ def make_rezero_controller(own: MPC, plant: BallPlant, rate: float) -> BallContr
     controller = BallController(
         robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.actuator_time_constant)
     )
-    controller.lean_control = LeanControl(robot, arm, BALL.cost.lean, PUSHED_SPEED)
+    controller.lean_control = LeanControl(robot, arm, RezeroCost().lean, PUSHED_SPEED)
     return controller
 
 

@@ -38,7 +38,7 @@ AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0
 def sine(settings: SwerveTrackSettings) -> SinePath:
     """The end effector's path of the experiment; it begins at 0.5 s."""
     s = settings
-    return SinePath(s.amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=0.5, ramp=2.0)
+    return SinePath(s.variant.amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=0.5, ramp=2.0)
 
 
 def end_effector_of(way: SinePath, t: np.ndarray) -> np.ndarray:

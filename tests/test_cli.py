@@ -266,7 +266,7 @@ def test_what_was_simulated_and_whose_figures_there_are(
     paper: float | None, physics: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Truth: the run's own settings and metrics."""
-    settings = {"physics": physics}
+    settings = {"plant": {"kind": physics}}
     result = RunResult("x", 1, True, "", {"way": Metric(1.0, "m", paper=paper)}, None, Log(), settings=settings)
     _table([result])
     out = " ".join(capsys.readouterr().out.split())

@@ -205,7 +205,7 @@ REAL = {
         "hold_time=1.5",
         "--set",
         "preview=true",
-    ): "a smaller mpc.horizon or preview=false needs less",
+    ): "a smaller controller.plan.horizon or preview=false needs less",
     ("run", "rezero-steps", "--set", "mpc.rate=true"): "mpc.rate=true: a number or text is needed",
 }
 

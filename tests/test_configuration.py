@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import pytest
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fake_experiment import FakeSettings
-from wbmpc.configuration import POSITIVE, OneOf, Rules, configure, keys, rules
+from wbmpc.configuration import OneOf, configure, keys
 from wbmpc.errors import InputError
 from wbmpc.registry import REGISTRY
 from wbmpc.settings import Settings
@@ -165,50 +165,13 @@ def test_every_setting_of_every_experiment_can_be_given(name: str) -> None:
         assert configure(model, [f"{key}={text}"], name).model_dump(mode="json") == dumped
 
 
-class Chosen(Settings):
-    """``speed`` is read by one kind, ``gain`` by a kind or with feedback."""
-
-    kind: Literal["fast", "slow", "still"] = "still"
-    feedback: bool = False
-    speed: float = Field(1.0, gt=0)
-    gain: float = 2.0
-
-    only_with: ClassVar[Rules] = {"speed": {"kind": ("fast", "slow")}, "gain": {"kind": "fast", "feedback": True}}
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (["speed=3"], "speed: nothing uses it without kind=fast or kind=slow"),
-        (["speed=3", "kind=slow"], ""),
-        (["speed=1"], ""),
-        (["speed=-1", "kind=fast"], "speed=-1"),
-        (["gain=3", "kind=slow"], "gain: nothing uses it without kind=fast or feedback=true"),
-        (["gain=3", "kind=fast"], ""),
-        (["gain=3", "feedback=true"], ""),
-    ],
-)
-def test_what_no_choice_reads_is_an_error(given: list[str], message: str) -> None:
-    """Truth: the docstring of the settings; what is as by default disturbs nobody."""
-    if not message:
-        configure(Chosen, given, "toy")
-        return
-    with pytest.raises(InputError, match=f"toy: --set {message}"):
-        configure(Chosen, given, "toy")
-
-
 class Gains(Settings):
-    """``second`` is read only where ``first`` is above 0."""
-
     first: float = 1.0
     second: float = 2.0
-
-    only_with: ClassVar[Rules] = {"second": {"first": POSITIVE}}
 
 
 class Rigid(Settings):
     kind: Literal["rigid"] = "rigid"
-    ignores: ClassVar[tuple[str, ...]] = ("gain", "tuning")
 
 
 class Elastic(Settings):
@@ -218,27 +181,15 @@ class Elastic(Settings):
 
 
 class Machine(Settings):
-    """``drives``: one of two models. ``gain`` is read without noise; ``rate`` by nothing, ``tuning`` by drives that are elastic alone."""
+    """``drives``: one of two models."""
 
     drives: OneOf[Rigid | Elastic] = Rigid()
-    noise: Literal["none", "white"] = "none"
     gain: float = 1.0
-    rate: float = 1.0
-    tuning: Gains = Gains()
-
-    only_with: ClassVar[Rules] = {"gain": {"noise": "none"}, "rate": {}}
-
-
-class Better(Machine):
-    """``rate`` is read with noise, and ``gain`` as in any machine."""
-
-    only_with: ClassVar[Rules] = {"rate": {"noise": "white"}}
 
 
 def test_keys_of_a_choice_are_those_of_all_its_models() -> None:
     assert keys(Machine) == [
-        "drives.kind", "drives.stiffness", "drives.gains.first", "drives.gains.second", "noise", "gain", "rate",
-        "tuning.first", "tuning.second",
+        "drives.kind", "drives.stiffness", "drives.gains.first", "drives.gains.second", "gain",
     ]  # fmt: skip
 
 
@@ -266,13 +217,9 @@ def test_a_kind_and_its_settings_are_given_in_any_order(given: list[str]) -> Non
         (["drives=elastic", "drives.stiffness=-3"], "drives.stiffness=-3: input should be greater than 0"),
         (["drives=elastic", "drives.stifness=3"], "unknown key 'drives.stifness' (did you mean 'drives.stiffness'?)"),
         (
-            ["drives=elastic", "drives.gains.first=0", "drives.gains.second=3"],
-            "drives.gains.second: nothing uses it without drives.gains.first > 0",
+            ["drives.gains.second=3"],
+            "drives.gains.second: nothing uses it without drives=elastic; valid in drives=rigid: nothing else",
         ),
-        (["gain=3"], "gain: nothing uses it without drives=elastic"),
-        (["tuning.first=3"], "tuning.first: nothing uses it without drives=elastic"),
-        (["gain=3", "drives=elastic", "noise=white"], "gain: nothing uses it without noise=none"),
-        (["rate=3"], "rate: this experiment does not use it"),
     ],
 )
 def test_what_another_kind_reads_is_an_error(given: list[str], message: str) -> None:
@@ -280,14 +227,6 @@ def test_what_another_kind_reads_is_an_error(given: list[str], message: str) -> 
     with pytest.raises(InputError) as error:
         configure(Machine, given, "toy")
     assert message in str(error.value)
-
-
-def test_rules_of_a_model_are_those_of_its_bases_and_its_own() -> None:
-    assert configure(Better, ["rate=3", "noise=white"], "toy").rate == 3.0
-    with pytest.raises(InputError, match="toy: --set rate: nothing uses it without noise=white"):
-        configure(Better, ["rate=3"], "toy")
-    with pytest.raises(InputError, match="toy: --set gain: nothing uses it without noise=none"):
-        configure(Better, ["gain=3", "drives=elastic", "noise=white"], "toy")
 
 
 class Vehicle(Settings):
@@ -313,15 +252,43 @@ def test_a_choice_inside_of_a_choice_is_given_in_any_order(order: int) -> None:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_rules_and_choices_name_settings_that_there_are(name: str) -> None:
-    """A misspelled key would never be rejected."""
-    model = REGISTRY[name].config_type
-    named = [*rules(model), *(key for info in model.model_fields.values() for kind in get_args(info.annotation)
-                              for key in getattr(kind, "ignores", ()))]  # fmt: skip
-    valid = keys(model)
-    absent = {key for key in named if not any(f"{k}.".startswith(f"{key}.") for k in valid)}
-    # (the estimator does not know whether its experiment has a choice of controllers)
-    assert absent <= {"controller.expected_push_time"}
+def test_a_name_is_that_of_a_section_in_all_choices_or_in_none(name: str) -> None:
+    """What is a value in one choice and a section in another could not be distinguished on the command line."""
+    found = keys(REGISTRY[name].config_type)
+    assert not [key for key in found if any(other.startswith(f"{key}.") for other in found)]
+
+
+class Stiff(Elastic):
+    """The same kind with another default, and one setting more."""
+
+    stiffness: float = Field(90.0, gt=0)
+    damping: float = 1.0
+
+
+class Crane(Settings):
+    kind: Literal["crane"] = "crane"
+    drives: OneOf[Rigid | Stiff] = Rigid()
+
+
+class Yard(Settings):
+    """Two kinds whose section of one name is one of different models."""
+
+    base: OneOf[Vehicle | Crane] = Vehicle()
+
+
+def test_a_kind_inside_of_a_choice_is_that_of_the_choice() -> None:
+    assert configure(Yard, ["base=crane", "base.drives=elastic"], "toy").base == Crane(drives=Stiff())
+    assert configure(Yard, ["base.drives=rigid", "base.drives=elastic"], "toy").base == Vehicle(drives=Elastic())
+    with pytest.raises(
+        InputError, match=r"base\.drives\.damping: nothing uses it without base=crane; valid in base=vehicle: drives"
+    ):
+        configure(Yard, ["base.drives.damping=3"], "toy")
+
+
+def test_what_is_left_out_of_a_choice_is_of_the_kind_by_default() -> None:
+    assert Yard(base={"drives": {"stiffness": 3.0}}).base == Vehicle(drives=Elastic(stiffness=3.0))
+    with pytest.raises(ValidationError, match=r"base\.vehicle\.cable"):
+        Yard(base={"cable": 3.0})
 
 
 @pytest.mark.parametrize(
@@ -329,9 +296,9 @@ def test_rules_and_choices_name_settings_that_there_are(name: str) -> None:
     [
         ("swerve-track", "cost.end_effector.weight=1e12", "less than or equal to 1000000000"),
         ("swerve-track", "cost.terminal=2e9", "less than or equal to 1000000000"),
-        ("rezero-steps", "cost.end_effector.limit=1e12", "less than or equal to 1000000000"),
-        ("rezero-steps", "cost.speed_slack=1e-300", "greater than or equal to"),
-        ("rezero-steps", "controller.max_pushed_speed=1e12", "less than or equal to 100"),
+        ("rezero-steps", "controller.cost.end_effector.limit=1e12", "less than or equal to 1000000000"),
+        ("rezero-steps", "controller.limits.speed_slack=1e-300", "greater than or equal to"),
+        ("rezero-steps", "controller.disturbance.max_pushed_speed=1e12", "less than or equal to 100"),
     ],
 )
 def test_weights_and_thresholds_have_limits(name: str, given: str, message: str) -> None:

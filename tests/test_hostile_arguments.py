@@ -159,7 +159,7 @@ BAD_ARGUMENTS = [
     *(("name", v) for v in (3, None, "\x1b[2J", "a\nb", "\ud800")),
     *(("out", v) for v in (3, [], "\0", "\ud800", "x" * 5000)),
     *((k, v) for k in ("robot", "mpc") for v in (None, 3, "differential-ur10")),
-    ("computation_delay", float("nan")), ("settle_time", -1), ("physics", "magic"), ("plant", 3),
+    ("computation_delay", float("nan")), ("settle_time", -1), ("plant", "magic"), ("plant", 3),
 ]  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def test_arguments_of_a_simulation_are_checked_before_anything_is_made(
 
 def test_a_simulation_needs_the_mpc_of_its_robot(arm: tuple[wb.RobotModel, wb.MPC]) -> None:
     """States have the same names; a base that rolls sideways has an input more."""
-    with pytest.raises(InputError, match=r"physics: MuJoCo needs an MPC on the robot's own dynamics"):
+    with pytest.raises(InputError, match=r"plant: MuJoCo needs an MPC on the robot's own dynamics"):
         wb.simulate(wb.load_robot("mecanum-ur10"), arm[1], 0.1)
     with pytest.raises(InputError, match="closed loop: 'settings': SimulationSettings is needed"):
         wb.closed_loop(*arm, 0.1, settings=3)  # type: ignore[arg-type]

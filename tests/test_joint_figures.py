@@ -12,7 +12,7 @@ from wbmpc.registry import load
 def test_speeds_of_hinges_and_their_limits_are_in_degrees() -> None:
     """Positions are, and so are the metrics; speeds of a base that drives are in m/s."""
     hold, robot = load("hold"), load_robot("panda-omni")
-    result = hold.run(hold.config_type(robot="panda-omni", physics="kinematic"), 3, None)
+    result = hold.run(hold.config_type(robot="panda-omni", plant="kinematic"), 3, None)
     plots = {(p.title, p.y_label): p for p in result.plots}
     arm, turn = plots["Planned inputs: arm", "speed [°/s]"], plots["Planned inputs: base", "speed [°/s]"]
     assert ("Planned inputs: base", "speed [m/s]") in plots

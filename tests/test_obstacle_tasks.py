@@ -95,14 +95,16 @@ def test_a_robot_that_is_stuck_says_so(tmp_path: Path) -> None:
     path.write_text(f"obstacles:\n  wall: {{box: {{half: [0.05, 3, 3]}}, position: {place}}}\n")
     more = [
         f"robot={arm}",
-        "physics=kinematic",
+        "plant=kinematic",
         f"obstacles={path}",
         "settle_time=0.1",
         "path.length=0.3",
         "mpc.rate=20",
     ]
     experiment = load("obstacles-static")
-    settings = configure(experiment.config_type, [*more, "path.ramp=0.3", "path.speed=0.3", "patience=10"], "x")
+    settings = configure(
+        experiment.config_type, [*more, "path.ramp=0.3", "path.speed=0.3", "reference.patience=10"], "x"
+    )
     result = experiment.run(settings, 0, None)
     assert result.outcome == "stuck" and re.search(r"stuck .* m from its goal", result.reason)
     m, tool = result.metrics, result.log.array("end_effector")
@@ -269,7 +271,7 @@ def test_a_robot_finds_a_box_by_its_sensors_alone(driving: Path, tmp_path: Path)
 
 def test_a_robot_whose_camera_fails_is_stopped(driving: Path, tmp_path: Path) -> None:
     experiment = load("clutter")
-    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene(tmp_path, '9, 9, 0')}", "settle_time=0.1"]
+    keys = [f"robot={driving}", "plant=kinematic", f"obstacles={scene(tmp_path, '9, 9, 0')}", "settle_time=0.1"]
     keys += ["path.length=1.0", "mpc.rate=25", "perception.map.size=[3, 3, 1]", "perception.lidar.columns=36"]
     settings = configure(experiment.config_type, [*keys, "perception.camera.fails=0.25"], "clutter")
     result = experiment.run(settings, 0, None)

@@ -10,13 +10,12 @@ import pytest
 
 from planar_driving import write_robot
 from wbmpc.bases import base_type
-from wbmpc.configuration import configure
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.tasks import reference_drive
 from wbmpc.tasks.loop import make_system
-from wbmpc.tasks.settings import TaskSettings
+from wbmpc.tasks.settings import MujocoPlant, TaskSettings
 
 WHEELS = [((0.0, 0.2), (0.0, 1.0, 0.0)), ((0.0, -0.2), (0.0, 1.0, 0.0))]
 #: Radii that differ, and nothing else.
@@ -37,8 +36,8 @@ def short(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def test_a_run_knows_the_radii_that_its_robot_has(robot: RobotModel, short: None, monkeypatch: Any) -> None:
-    settings = configure(TaskSettings, ["calibration=drive", f"robot={robot.description.source}"], "task")
-    settings = settings.model_copy(update={"plant": PLANT})
+    plant = MujocoPlant(**dict(PLANT), calibration="drive")
+    settings = TaskSettings(robot=robot.description.source, plant=plant)
     kind = base_type("differential")
     made = make_system(robot, kind.mpc(robot), settings, 0)
     true, known = made.plant.draw.radius - 1.0, made.controller.odometry.wheels

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
+from pydantic import BaseModel
 
 from wbmpc.cli import main
 from wbmpc.registry import REGISTRY
@@ -36,6 +38,15 @@ def test_what_cannot_be_meant_is_an_error(words: list[str], says: str, capsys: p
     assert says in capsys.readouterr().err
 
 
+def leaves(settings: BaseModel, prefix: str) -> Iterator[tuple[str, Any]]:
+    """Keys and values that no choice inside of the settings has."""
+    for name, value in settings:
+        if not isinstance(value, BaseModel):
+            yield from () if name == "kind" else ((f"{prefix}.{name}", value),)
+        elif not hasattr(value, "kind"):
+            yield from leaves(value, f"{prefix}.{name}")
+
+
 def test_keys_of_every_choice_are_listed_with_it(capsys: pytest.CaptureFixture[str]) -> None:
     """Truth: the fields of the controllers' models, and their defaults."""
     assert main(["run", "rezero-steps", "--settings", "--json"]) == 0
@@ -46,8 +57,8 @@ def test_keys_of_every_choice_are_listed_with_it(capsys: pytest.CaptureFixture[s
     ]
     for model in get_args(REGISTRY["rezero-steps"].config_type.model_fields["controller"].annotation):
         for kind in get_args(model.model_fields["kind"].annotation):
-            values = model().model_dump(exclude={"kind", "tracking"})
-            assert values and {(f"controller.{k}", kind, str(v)) for k, v in values.items()} <= set(found)
+            values = dict(leaves(model(), "controller"))
+            assert values and {(k, kind, str(v)) for k, v in values.items()} <= set(found)
     assert ("controller.tracking.wheel_damping", "controller.tracking=actuators", "0.02") in found
 
 

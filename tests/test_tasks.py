@@ -47,9 +47,9 @@ def standing(driving: Path) -> Path:
     return path
 
 
-def run(name: str, robot: Path, *assignments: str, physics: str = "kinematic") -> wb.RunResult:
+def run(name: str, robot: Path, *assignments: str, plant: str = "kinematic") -> wb.RunResult:
     experiment = load(name)
-    settings = configure(experiment.config_type, [f"robot={robot}", f"physics={physics}", *assignments], name)
+    settings = configure(experiment.config_type, [f"robot={robot}", f"plant={plant}", *assignments], name)
     result = experiment.run(settings, 0, None)
     assert result.completed, result.reason
     return result
@@ -136,7 +136,7 @@ def test_an_arm_reaches_as_far_as_its_links(standing: Path) -> None:
 
 
 def test_a_robot_whose_base_stands_holds_in_mujoco(standing: Path) -> None:
-    m = run("hold", standing, POSITION_ONLY, "duration=0.3", physics="mujoco").metrics
+    m = run("hold", standing, POSITION_ONLY, "duration=0.3", plant="mujoco").metrics
     assert m["end_effector_error_max_world"].value < 0.01 and "base_path_length" not in m
     assert {"contacts_unwanted", "clearance_min"} <= m.keys()
 
@@ -179,7 +179,7 @@ def test_a_base_drives_as_it_is_ordered(driving: Path) -> None:
         ("cmd-vel", "orders=[[2, 0, 0.1, 0]]", "no speed to the left; valid: v, wz"),
         ("cmd-vel", "orders=[[0.5, 0.1, 0, 0]]", "must last longer than 1 s"),
         ("hold", "weights={end_efector: 2}", "unknown cost.*end_efector.*did you mean 'end_effector'"),
-        ("hold", "plant.mass=0.1", "nothing uses it without physics=mujoco"),
+        ("hold", "plant.mass=0.1", "nothing uses it without plant=mujoco"),
         ("end-effector-track", "path={kind: poses, poses: [[1, 2]]}", "section"),
     ],
 )
@@ -308,7 +308,7 @@ def test_a_rate_that_is_no_part_of_200_hz_has_a_faster_controller(standing: Path
     from wbmpc.tasks.loop import make_system
 
     robot, mpc = TaskSettings(robot=str(standing), mpc={"rate": 80}).prepare()  # type: ignore[arg-type]
-    timing = make_system(robot, mpc, wb.SimulationSettings(physics="kinematic"), 0).timing
+    timing = make_system(robot, mpc, wb.SimulationSettings(plant="kinematic"), 0).timing
     assert timing.period == pytest.approx(1 / 400) and timing.mpc_every == 5 and timing.delay == 4
 
 
@@ -333,8 +333,8 @@ def test_simulate_runs_and_writes_what_a_run_has(driving: Path, tmp_path: Path) 
     assert wb.read_recording(out / "run.mcap").complete
     with pytest.raises(wb.InputError, match="has a run already"):
         wb.simulate(robot, own_mpc(robot), 0.2, out=out)
-    with pytest.raises(wb.InputError, match=r"simulate: physics='paper'"):
-        wb.simulate(robot, own_mpc(robot), 0.2, physics="paper")
+    with pytest.raises(wb.InputError, match=r"simulate: plant.kind='paper'"):
+        wb.simulate(robot, own_mpc(robot), 0.2, plant="paper")
 
 
 @pytest.mark.parametrize("physics", ["kinematic", "mujoco"])
@@ -342,12 +342,12 @@ def test_an_mpc_of_another_robot_is_an_error(physics: str, driving: Path, standi
     """One without the base, and one with the same joints whose arm is mounted 0.1 m higher."""
     mpc = own_mpc(wb.load_robot(driving))
     with pytest.raises(wb.InputError, match=r"'mpc': .* its state 'base' is \(\), the robot's is \(x, y, yaw\)"):
-        wb.simulate(wb.load_robot(driving), own_mpc(wb.load_robot(standing)), 0.1, physics=physics)
+        wb.simulate(wb.load_robot(driving), own_mpc(wb.load_robot(standing)), 0.1, plant=physics)
     raised = write_robot(tmp_path, WHEELS, {"type": "differential"})
     model = raised.with_name("robot.xml")
     model.write_text(model.read_text().replace('name="shoulder" pos="0 0 0.1"', 'name="shoulder" pos="0 0 0.2"'))
     with pytest.raises(wb.InputError, match=r"the end effector of its model is elsewhere, by 0\.1 m at home"):
-        wb.simulate(wb.load_robot(raised), mpc, 0.1, physics=physics)
+        wb.simulate(wb.load_robot(raised), mpc, 0.1, plant=physics)
 
 
 @thorough
@@ -371,13 +371,13 @@ def test_every_setting_is_listed_with_what_it_means(capsys: pytest.CaptureFixtur
     found = {row["key"]: row for row in json.loads(capsys.readouterr().out)["settings"]}
     assert found["path.speed"]["unit"] == "m/s" and found["path.speed"]["default"] == "`0.2`"
     assert "≥ 0.001" in found["path.speed"]["kind"] and "along the arc" in found["path.speed"]["help"]
-    assert {"robot", "physics", "mpc.horizon", "plant.mass", "path.kind", "path.file", "weights"} <= set(found)
+    assert {"robot", "plant.kind", "mpc.horizon", "plant.mass", "path.kind", "path.file", "weights"} <= set(found)
 
 
 def test_settings_come_from_a_file_and_the_line_after_it(driving: Path, tmp_path: Path) -> None:
     file = tmp_path / "settings.yaml"
     file.write_text(
-        f"robot: {driving}\nphysics: kinematic\nmpc: {{horizon: 2.0}}\npath.length: 0.7\nweights: {{input: 2}}\n"
+        f"robot: {driving}\nplant: kinematic\nmpc: {{horizon: 2.0}}\npath.length: 0.7\nweights: {{input: 2}}\n"
     )
     kind = load("end-effector-track").config_type
     settings = configure(kind, ["path.length=0.9"], "x", file)

@@ -14,7 +14,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.registry import load
 from wbmpc.stability import StanceOf
-from wbmpc.tasks.tip_over import TipOverSettings, build, check_stands, longest, reaching, stopping
+from wbmpc.tasks.tip_over import TipOverSettings, check_stands, longest, reaching, stopping
 
 
 def test_the_longest_time_in_the_air_is_of_one_wheel_without_a_break() -> None:
@@ -49,8 +49,8 @@ def test_the_robot_reaches_as_far_as_it_can_and_its_wheels_roll_that_way(monkeyp
 
 
 def test_settings_that_nothing_reads_are_errors() -> None:
-    with pytest.raises(InputError, match="kinematic robots do not tip"):
-        build(TipOverSettings(physics="kinematic"), 0)
+    with pytest.raises(InputError, match=r"tip-over: --set plant\.kind='kinematic'"):
+        configure(TipOverSettings, ["plant=kinematic"], "tip-over")
     with pytest.raises(InputError, match=r"stability.*payload.*nothing uses it without"):
         configure(load("hold").config_type, ["stability.payload=3"], "hold")
 

@@ -99,7 +99,7 @@ def test_two_tips_hold_one_thing(twins: Path) -> None:
     times = np.linspace(0.0, 1.0, 51)
     way = position + np.outer(0.03 * (1.0 - np.cos(np.pi * times)), [1.0, 0.5, 0.5])
     mpc.reference["end_effector"] = wb.Reference.poses(times, way, turn)
-    result = wb.simulate(robot, mpc, 1.0, physics="kinematic", settle_time=0)
+    result = wb.simulate(robot, mpc, 1.0, plant="kinematic", settle_time=0)
     assert result.completed and result.metrics["end_effector_error_max"].value < 2e-3
     states = result.log.array("state")
     assert np.abs(states - states[0]).max() > 0.05

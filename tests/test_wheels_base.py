@@ -134,7 +134,7 @@ def test_odometry_finds_the_way_that_wheels_rolled(kind: str, tmp_path: Path) ->
 def test_steered_tires_roll_in_the_plan(tmp_path: Path) -> None:
     """In the closed loop without physics: the tip follows a line aside, and no tire slips."""
     settings = PathTaskSettings.model_validate(
-        {"robot": str(write(tmp_path, CASTERS)), "physics": "kinematic", "settle_time": 0.2,
+        {"robot": str(write(tmp_path, CASTERS)), "plant": "kinematic", "settle_time": 0.2,
          "path": {"kind": "line", "length": 0.3, "direction": 0.1, "ramp": 1.0}}
     )  # fmt: skip
     result = EXPERIMENT.run(settings, 0, None)
@@ -252,7 +252,7 @@ def test_skid_steering_is_warned_of(tmp_path: Path) -> None:
     settings = PathTaskSettings.model_validate(
         {
             "robot": str(planar(tmp_path, "tracks")),
-            "physics": "kinematic",
+            "plant": "kinematic",
             "settle_time": 0,
             "path": {"kind": "line", "length": 0.2, "ramp": 0.3},
         }

@@ -5,105 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from functools import cache, reduce
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
-from pydantic_core import PydanticCustomError
 
 from wbmpc.checks import parse_number
 from wbmpc.errors import InputError, did_you_mean
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
-#: The choice of :data:`Rules` that is made by any number above 0.
-POSITIVE = "> 0"
 #: The discriminator of settings that are one of several models.
 KIND = "kind"
 #: Faults of one validation that a message names.
 MAX_FAULTS = 10
-
-
-#: Choices by the dotted key of a setting that they read: key and value of another setting (several values, or :data:`POSITIVE`; of a
-#: setting that is a tuple, one of its entries). One of them is enough; none: nothing reads it.
-Rules = Mapping[str, Mapping[str, Any]]
-
-
-@cache
-def rules(model: type[BaseModel]) -> Rules:
-    """Those in the class variable ``only_with`` of a model and of its bases."""
-    return {key: rule for kind in reversed(model.__mro__) for key, rule in vars(kind).get("only_with", {}).items()}
-
-
-def reject_unread(settings: BaseModel) -> None:
-    """Raise an error of pydantic's type "unread" for the first setting that is neither its default nor 0 (nothing of it) and that
-    nothing reads: by its rule (:func:`rules`), or because what is chosen names it, or its section, in the class variable ``ignores``:
-    dotted keys of the settings that contain the choice::
-
-        only_with: ClassVar[Rules] = {"amplitude": {"variant": ("horizontal", "vertical")}, "cost.speed_slack": {"mpc.limits": "hard"}}
-    """
-    model = type(settings)
-    for key, rule in rules(model).items():
-        choices = [(name, v) for name, value in rule.items() for v in (value if isinstance(value, tuple) else (value,))]
-        chosen = any(_chosen(reduce(getattr, name.split("."), settings), value) for name, value in choices)
-        if not chosen and (found := _changed(settings, key)):
-            raise _unread(found, choices)
-    for name, info in model.model_fields.items():
-        for key in getattr(getattr(settings, name), "ignores", ()):
-            if found := _changed(settings, key):
-                readers = [k for k, m in _by_kind(_models_of(info.annotation)).items() if not _ignored(found, m)]
-                raise _unread(found, [(f"{name}.{KIND}", k) for k in readers])
-
-
-def _chosen(value: Any, choice: Any) -> bool:
-    if choice == POSITIVE:
-        return bool(value > 0)
-    return choice in (value if isinstance(value, tuple) else (value,))
-
-
-def _ignored(key: str, choice: type[BaseModel]) -> bool:
-    return any(f"{key}.".startswith(f"{k}.") for k in getattr(choice, "ignores", ()))
-
-
-def _choice(prefix: str, name: str, value: Any) -> str:
-    text = str(value).lower() if isinstance(value, bool) else str(value)
-    name = f"{prefix}{name}".removesuffix(f".{KIND}")
-    return f"{name} {text}" if value == POSITIVE else f"{name}={text}"
-
-
-def _unread(name: str, missing: list[tuple[str, Any]]) -> PydanticCustomError:
-    return PydanticCustomError(
-        "unread", "{text}", {"text": unread_text(name, missing), "name": name, "missing": missing}
-    )
-
-
-def unread_text(name: str, missing: list[tuple[str, Any]], prefix: str = "") -> str:
-    """The message for a setting that nothing reads; ``prefix``: of all keys."""
-    if not missing:
-        return f"{prefix}{name}: this experiment does not use it"
-    return f"{prefix}{name}: nothing uses it without " + " or ".join(_choice(prefix, *choice) for choice in missing)
-
-
-def _changed(settings: BaseModel, key: str) -> str:
-    """The key of a setting, or of the first one in a section, that is neither as by default nor 0 (false counts); "" where there is none."""
-    first, _, rest = key.partition(".")
-    info = type(settings).model_fields.get(first)
-    if info is None:
-        return ""
-    # pydantic's own copies the default each time, which takes a hundred times as long as comparing it
-    usual = info.default if info.default_factory is None else info.get_default(call_default_factory=True)
-    return _difference(getattr(settings, first), usual, first, rest)
-
-
-def _difference(value: Any, usual: Any, key: str, rest: str) -> str:
-    """The first key at ``rest`` below ``key`` whose value is another one than the usual."""
-    if not rest and not (isinstance(value, BaseModel) and type(value) is type(usual)):
-        return key if value != usual and (value is False or value != 0) else ""
-    first, _, rest = rest.partition(".")
-    usual = usual if type(usual) is type(value) else type(value)()
-    names = [n for n in type(value).model_fields if first in ("", n)]  # none of another kind
-    found = (_difference(getattr(value, n), getattr(usual, n), f"{key}.{n}", rest) for n in names)
-    return next(filter(None, found), "")
 
 
 def _kind_alone(value: Any) -> Any:
@@ -214,6 +129,21 @@ def _kinds(model: type[BaseModel], key: str) -> dict[str, type[BaseModel]]:
     return _by_kind(m for kind in _types(model, key) for m in _models_of(kind))
 
 
+def _choices(model: type[BaseModel], settings: Mapping[str, Any], section: list[str]) -> dict[str, type[BaseModel]]:
+    """The models by kind that a section is one of, inside of what ``settings`` chose above it; empty for other settings."""
+    models = [model]
+    for part in section:
+        chosen = _by_kind(models).get(str(settings.get(KIND))) or next(iter(models), None)
+        info = chosen.model_fields.get(part) if chosen else None
+        models, settings = _models_of(info.annotation) if info else [], settings.get(part) or {}
+    return _by_kind(models)
+
+
+def _reads(model: type[BaseModel], key: str) -> bool:
+    """Whether a model has a dotted key, or a mapping of which it is an entry."""
+    return bool(_types(model, key)) or any(get_origin(kind) is dict for kind in _types(model, key.rpartition(".")[0]))
+
+
 def _known(model: type[BaseModel], key: str, value: Any, valid: list[str]) -> str | None:
     """The key that is meant: itself, an entry of a mapping (``weights.NAME``), the kind of a section; None: there is none."""
     mapping, _, entry = key.rpartition(".")
@@ -228,16 +158,17 @@ def has_truths(value: Any) -> bool:
     return isinstance(value, bool) or (isinstance(value, Mapping | list | tuple) and any(map(has_truths, inside)))
 
 
-def _insert(model: type[BaseModel], tree: dict[str, Any], key: str, value: Any) -> None:
+def _insert(model: type[BaseModel], settings: dict[str, Any], key: str, value: Any) -> None:
     """Put ``value`` in its place. A section that is left out by default begins empty: its model knows what else is in it."""
     *parents, last = key.split(".")
+    tree = settings
     for parent in parents:
         if tree.get(parent) is None:
             tree[parent] = {}
         tree = tree[parent]
     if last == KIND and tree.get(KIND) != value:
         tree.clear()  # what is there is of another kind
-        kind = _kinds(model, ".".join(parents)).get(str(value))
+        kind = _choices(model, settings, parents).get(str(value))
         tree |= {} if kind is None else kind.model_construct().model_dump()
     tree[last] = value
 
@@ -246,13 +177,13 @@ def _check_kind(model: type[BaseModel], key: str, settings: Mapping[str, Any], w
     """Raise :class:`InputError` for a key of a section that is of another kind."""
     parts = key.split(".")
     for depth in range(1, len(parts)):
-        section, name = ".".join(parts[:depth]), parts[depth]
-        kinds = _kinds(model, section)
+        section, rest = ".".join(parts[:depth]), ".".join(parts[depth:])
+        kinds = _choices(model, settings, parts[:depth])
         kind = reduce(lambda tree, part: tree[part], parts[:depth], settings).get(KIND) if kinds else None
-        if isinstance(kind, str) and kind in kinds and name not in kinds[kind].model_fields:
-            owners = [(f"{section}.{KIND}", k) for k, m in kinds.items() if name in m.model_fields]
+        if isinstance(kind, str) and kind in kinds and not _reads(kinds[kind], rest):
+            owners = " or ".join(f"{section}={k}" for k, m in kinds.items() if _reads(m, rest))
             valid = ", ".join(n for n in kinds[kind].model_fields if n != KIND) or "nothing else"
-            raise InputError(f"{where} {unread_text(key, owners)}; valid in {section}={kind}: {valid}")
+            raise InputError(f"{where} {key}: nothing uses it without {owners}; valid in {section}={kind}: {valid}")
 
 
 def _kinds_first(pairs: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
@@ -272,7 +203,7 @@ def _pairs(model: type[BaseModel], assignments: Iterable[str], where: str) -> li
     return _kinds_first(pairs)
 
 
-def _keys_of(place: tuple[int | str, ...], model: type[BaseModel] | None) -> tuple[int | str, ...]:
+def keys_of(place: tuple[int | str, ...], model: type[BaseModel] | None) -> tuple[int | str, ...]:
     """The keys of a fault's place: pydantic puts the kind of a section that is one of several models among them."""
     keys_, models = [], [] if model is None else [model]
     for part in place:
@@ -296,11 +227,8 @@ def describe(error: ValidationError, model: type[BaseModel] | None = None) -> st
     faults, found = [], error.errors(include_url=False)
     for fault in found:
         place = fault["loc"]
-        names = _keys_of(place, model)
+        names = keys_of(place, model)
         context = fault.get("ctx", {})
-        if fault["type"] == "unread":
-            faults.append(unread_text(context["name"], context["missing"], "".join(f"{k}." for k in names)))
-            continue
         if fault["type"] == "union_tag_invalid":
             expected = context["expected_tags"].replace("'", "")
             faults.append(".".join(map(str, (*names, KIND))) + f"={context['tag']!r}: valid: {expected}")
@@ -374,6 +302,14 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str, fi
     except ValidationError as error:
         source = "--set" if file is None else f"settings of {file} and --set:"
         raise InputError(f"{where}: {source} {describe(error, model)}") from error
+
+
+def usual_kinds(model: type[BaseModel], data: Any) -> Any:
+    """``data`` of a model with the kinds that it leaves out: those of the defaults."""
+    if not isinstance(data, Mapping):
+        return data
+    usual = {n: getattr(info.default, KIND, None) for n, info in model.model_fields.items()}
+    return {n: {KIND: usual[n], **v} if usual.get(n) and isinstance(v, Mapping) else v for n, v in data.items()}
 
 
 def reject_booleans(model: type[BaseModel], data: Any) -> Any:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wbmpc.configuration import OneOf, reject_booleans, reject_unread
+from wbmpc.configuration import OneOf, reject_booleans, usual_kinds
 from wbmpc.robots import load_description
 from wbmpc.solver import SQP, InteriorPoint
 
@@ -46,38 +46,47 @@ Robot = Annotated[str, ReadBy(load_description)]
 
 
 class Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, and so are keys that nothing reads (:func:`wbmpc.configuration.reject_unread`); values are
-    frozen. Of those that have one, ``robot``: name of a built-in robot, or a robot file."""
+    """Base of all settings: unknown keys are errors; values are frozen; one of several models is by default of the default's kind. Of those
+    that have one, ``robot``: name of a built-in robot, or a robot file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod
-    def _no_truths(cls, data: Any) -> Any:
-        return reject_booleans(cls, data)
-
-    @model_validator(mode="after")
-    def _read(self) -> Self:
-        reject_unread(self)
-        return self
+    def _checked(cls, data: Any) -> Any:
+        return usual_kinds(cls, reject_booleans(cls, data))
 
 
-class MpcSettings(Settings):
-    """``rate`` [Hz]: update rate of the MPC; ``horizon`` [s]: length of the horizon; ``intervals``: number of intervals of the horizon;
-    ``first_interval`` [s]: first interval of a geometric grid (0: uniform grid); ``computation_delay`` [s]: modeled computation time;
-    ``iterations``: solver iterations per update; ``limits``: treatment of limits, by an interior point (hard) or relaxed barriers
-    (soft); ``barrier_mu``: barrier parameter of interior point and relaxed barriers; ``rollout_restart``: whether a plan is
-    replaced by a roll-out of the model where a state outside its limit cuts steps to nearly nothing."""
+class MpcTiming(Settings):
+    """When a closed loop plans. ``rate`` [Hz]: update rate of the MPC; ``computation_delay`` [s]: modeled computation time."""
 
     rate: float = Field(50.0, gt=0, ge=1e-3, le=10_000)
+    computation_delay: float = Field(COMPUTATION_DELAY, ge=0, le=1.0)
+
+
+class UniformPlan(Settings):
+    """A plan on a uniform grid. ``horizon`` [s]: length of the horizon; ``intervals``: number of intervals of the horizon;
+    ``iterations``: solver iterations per update; ``barrier_mu``: barrier parameter of interior point and relaxed barriers;
+    ``rollout_restart``: whether a plan is replaced by a roll-out of the model where a state outside its limit cuts steps to nearly
+    nothing."""
+
     horizon: float = Field(10.0, gt=0, le=1000)
     intervals: int = Field(50, ge=1, le=1000)
-    first_interval: float = Field(0.017, ge=0, le=1000)
-    computation_delay: float = Field(COMPUTATION_DELAY, ge=0, le=1.0)
     iterations: int = Field(1, ge=1, le=50)
-    limits: Literal["hard", "soft"] = "hard"
     barrier_mu: float = Field(3e-3, gt=0, le=1e6)
     rollout_restart: bool = True
+
+
+class PlanSettings(UniformPlan):
+    """``first_interval`` [s]: first interval of a geometric grid (0: uniform grid)."""
+
+    first_interval: float = Field(0.017, ge=0, le=1000)
+
+
+class MpcSettings(PlanSettings, MpcTiming):
+    """``limits``: treatment of limits, by an interior point (hard) or relaxed barriers (soft)."""
+
+    limits: Literal["hard", "soft"] = "hard"
 
     def solver(self) -> SQP:
         """The solver's real-time settings."""

@@ -27,7 +27,7 @@ class Row:
 
 
 def rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = None) -> Iterator[Row]:
-    """Every field; ``values``: an instance whose values are the defaults."""
+    """Every field but a kind that is the only one; ``values``: an instance whose values are the defaults."""
     texts = _texts(model)
     for name, info in model.model_fields.items():
         value = info.get_default(call_default_factory=True) if values is None else getattr(values, name)
@@ -38,6 +38,8 @@ def rows(model: type[BaseModel], prefix: str = "", values: BaseModel | None = No
             chosen = ", ".join(f"`{k}`" for m in kinds for k in _kind_names(m))
             yield Row(f"{prefix}{name}.kind", chosen, f"`{value.kind}`", *texts.get(name, ("", "")))
             yield from _of_kinds(f"{prefix}{name}", ordered, value)
+        elif name == "kind" and len(get_args(info.annotation)) == 1:
+            continue
         elif isinstance(value, BaseModel):
             yield from rows(type(value), f"{prefix}{name}.", value)
         else:

@@ -17,7 +17,7 @@ import realtime
 
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, PushedSettings
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, PushedDisturbance
 from wbmpc.model.robot import load_robot
 
 ROBOT = load_robot("rezero")
@@ -46,6 +46,6 @@ def at_its_limits(cost: RezeroCost) -> BallController:
 def test_it_leans_against_forces_as_in_the_experiments(make: Any, share: float) -> None:
     """Against one that is too strong with what is left of 90 % of the reach beside ``share``, to which the problem limits it."""
     lean_control = make().lean_control
-    assert lean_control is not None and lean_control.speed == PushedSettings().max_pushed_speed
+    assert lean_control is not None and lean_control.speed == PushedDisturbance().max_pushed_speed
     lean = lean_control.shift(STRONG, 0.3) - lean_control.center(STRONG, 0.3)
     assert np.hypot(*lean) == pytest.approx((0.9 - share) * lean_control.reach)

@@ -100,7 +100,7 @@ def test_plans_that_know_no_friction_or_robots_that_feel_no_slip_are_an_error() 
     for changes, why in (
         (["robot=swerve-ur10"], "stability.friction=0"),
         (["robot=mecanum-ur10", "stability.friction=0.4"], "mecanum-ur10.*valid"),
-        (["robot=swerve-ur10", "stability.friction=0.4", "physics=kinematic"], "physics=kinematic.*valid"),
+        (["robot=swerve-ur10", "stability.friction=0.4", "plant=kinematic"], "plant=kinematic.*valid"),
     ):
         with pytest.raises(InputError, match=f"estimate_friction.*{why}"):
             experiment.run(configure(experiment.config_type, [*changes, *known], "hold"), 0)
@@ -109,7 +109,7 @@ def test_plans_that_know_no_friction_or_robots_that_feel_no_slip_are_an_error() 
 def test_on_a_slippery_floor_a_robot_slides_less_if_it_feels_that_it_slips() -> None:
     experiment, found = load("swerve-fast"), {}
     for estimate in ("false", "true"):
-        changes = ["course=s-curve", "plant.friction=0.3", "stability.friction=0.6", "calibration=none"]
+        changes = ["course=s-curve", "plant.friction=0.3", "stability.friction=0.6", "plant.calibration=none"]
         changes += [f"stability.estimate_friction={estimate}", "after=2.5"]
         found[estimate] = experiment.run(configure(experiment.config_type, changes, "swerve-fast"), 1).metrics
     assert found["true"]["wheel_slip_max"].value < 0.6 * found["false"]["wheel_slip_max"].value

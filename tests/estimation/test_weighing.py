@@ -167,6 +167,6 @@ def test_a_load_that_plans_do_not_know_lifts_a_wheel_unless_it_is_weighed() -> N
 
 def test_it_cannot_be_asked_for_without_physics() -> None:
     experiment = load("hold")
-    changes = ["robot=swerve-ur10", "physics=kinematic", "stability=wheel_loads", "stability.estimate_payload=true"]
-    with pytest.raises(InputError, match=r"estimate_payload.*physics=mujoco"):
+    changes = ["robot=swerve-ur10", "plant=kinematic", "stability=wheel_loads", "stability.estimate_payload=true"]
+    with pytest.raises(InputError, match=r"estimate_payload.*plant=mujoco"):
         experiment.run(configure(experiment.config_type, changes, "hold"), 0)

@@ -32,7 +32,7 @@ def head_on(driving: Path, folder: Path, half: float, *more: str) -> RunResult:
     scene.write_text(f"obstacles: {{wall: {{box: {{half: [0.05, {half}, 2]}}, position: [1.4, 0.02, 0]}}}}\n")
     keys = [
         f"robot={driving}",
-        "physics=kinematic",
+        "plant=kinematic",
         f"obstacles={scene}",
         "settle_time=0.1",
         "mpc.rate=20",
@@ -44,9 +44,9 @@ def head_on(driving: Path, folder: Path, half: float, *more: str) -> RunResult:
 
 
 def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: Path) -> None:
-    alone = head_on(driving, tmp_path, 0.6, "when_stuck=wait", "patience=2")
+    alone = head_on(driving, tmp_path, 0.6, "when_stuck=wait", "reference.patience=2")
     assert alone.metrics["passed"].value == 0.0 and alone.metrics["goal_missed"].value > 1.0
-    result = head_on(driving, tmp_path, 0.6, "patience=12")
+    result = head_on(driving, tmp_path, 0.6, "reference.patience=12")
     m, margin = result.metrics, wb.load_robot(driving).description.collision.margin
     assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
     assert m["obstacle_clearance_min"].value > margin - 0.01
@@ -54,7 +54,7 @@ def test_a_robot_goes_around_a_wall_that_stops_its_mpc(driving: Path, tmp_path: 
 
 def test_a_robot_goes_around_a_wall_right_behind_which_its_way_ends(driving: Path, tmp_path: Path) -> None:
     """It cannot turn at its goal: it goes past and backs to it. That takes longer than it may wait."""
-    result = head_on(driving, tmp_path, 0.6, "patience=6", "path.length=1.7")
+    result = head_on(driving, tmp_path, 0.6, "reference.patience=6", "path.length=1.7")
     m = result.metrics
     assert result.completed and m["passed"].value == 1.0 and m["alternatives_taken"].value >= 1.0
     assert m["obstacle_contacts"].value == 0.0 and m["obstacle_clearance_min"].value > 0.02
@@ -71,7 +71,7 @@ def test_a_way_backs_off_once_and_then_turns_and_goes_on() -> None:
 
 def test_a_robot_in_front_of_a_wall_without_end_declines_within_two_seconds(driving: Path, tmp_path: Path) -> None:
     """All other ways were tried, and none was found; it can turn back. Truth: the recorded places of the end effector."""
-    result = head_on(driving, tmp_path, 30.0, "patience=25")
+    result = head_on(driving, tmp_path, 30.0, "reference.patience=25")
     m, times, tool = result.metrics, result.log.times("end_effector"), result.log.array("end_effector")
     assert result.outcome == "declined" and "no other way" in result.reason and m["alternatives_taken"].value == 0.0
     assert m["goal_missed"].value > 1.0
@@ -84,7 +84,7 @@ def test_a_robot_that_has_entered_a_dead_end_is_stuck(driving: Path, tmp_path: P
     scene = tmp_path / "dead-end.yaml"
     sides = ", ".join(f"side{y}: {{box: {{half: [3, 0.05, 2]}}, position: [2, {y}, 0]}}" for y in (-0.308, 0.308))
     scene.write_text(f"obstacles: {{wall: {{box: {{half: [0.05, 3, 2]}}, position: [1.4, 0, 0]}}, {sides}}}\n")
-    result = head_on(driving, tmp_path, 30.0, "patience=25", f"obstacles={scene}")
+    result = head_on(driving, tmp_path, 30.0, "reference.patience=25", f"obstacles={scene}")
     assert result.outcome == "stuck" and result.metrics["obstacle_contacts"].value == 0.0
 
 
@@ -96,8 +96,8 @@ def test_a_robot_waits_for_a_wall_that_passes_and_is_not_stuck(
     wall = "box: {half: [0.05, 1.2, 2]}, position: [0.9, 0.5, 0], velocity: [0, 0.1, 0]"
     sides = ", ".join(f"side{y}: {{box: {{half: [3, 0.05, 2]}}, position: [1, {y}, 0]}}" for y in (-0.7, 0.7))
     scene.write_text(f"obstacles: {{wall: {{{wall}}}, {sides}}}\n")
-    keys = [f"robot={driving}", "physics=kinematic", f"obstacles={scene}", "settle_time=0.1", "mpc.rate=20"]
-    keys += ["mpc.intervals=20", "path.length=1.0", "path.speed=0.4", "path.ramp=0.3", "patience=12"]
+    keys = [f"robot={driving}", "plant=kinematic", f"obstacles={scene}", "settle_time=0.1", "mpc.rate=20"]
+    keys += ["mpc.intervals=20", "path.length=1.0", "path.speed=0.4", "path.ramp=0.3", "reference.patience=12"]
     experiment = load("obstacles-moving")
     with caplog.at_level("INFO", "wbmpc"):
         result = experiment.run(configure(experiment.config_type, keys, "x"), 0, None)

@@ -68,7 +68,7 @@ def test_a_moment_that_is_announced_turns_the_hand_less(made: Callable[..., Any]
     """1.5 N m at the forearm, without the disturbance observer: with the reference the plan counts with the world's answer."""
     moved = []
     for announced in (False, True):
-        s = made(estimate_disturbance=False, topics={"wrench": f"/moment_{announced}"})
+        s = made(disturbance="none", topics={"wrench": f"/moment_{announced}"})
         balancing(s)
         start = s.truth().tool.copy()
         publisher = s.other.publisher(f"/moment_{announced}", "geometry_msgs/msg/WrenchStamped")

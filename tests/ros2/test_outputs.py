@@ -191,7 +191,7 @@ def test_a_wrench_that_is_announced_moves_the_hand_less(made: Callable[..., Any]
     """6 N at the tool, without the disturbance observer: with the reference the plan counts with the world's answer."""
     moved = []
     for announced in (False, True):
-        s = made(BALL, estimate_disturbance=False, topics={"wrench": f"/wrench_{announced}"})
+        s = made(BALL, disturbance="none", topics={"wrench": f"/wrench_{announced}"})
         s.ready()
         s.end_effector()
         assert s.until(lambda s=s: s.control.state.startswith("running:"))

@@ -123,11 +123,11 @@ def test_faults_are_one_message_with_the_file(tmp_path: Path, text: str, says: s
 
 
 def test_the_speed_at_which_learned_forces_end_a_run_needs_some_that_are_learned(tmp_path: Path) -> None:
-    path, ball = write(tmp_path, "{estimate_disturbance: false, max_pushed_speed: 1}"), load_robot("rezero")
-    with pytest.raises(InputError, match="max_pushed_speed: nothing uses it without estimate_disturbance=true"):
+    path, ball = write(tmp_path, "{disturbance: {kind: none, max_pushed_speed: 1}}"), load_robot("rezero")
+    with pytest.raises(InputError, match=r"disturbance\.max_pushed_speed"):
         load_settings(path, ball)
-    settings = load_settings(write(tmp_path, "{estimate_disturbance: true, max_pushed_speed: 1}"), ball)
-    assert settings.max_pushed_speed == 1.0  # type: ignore[attr-defined]
+    settings = load_settings(write(tmp_path, "{disturbance: {max_pushed_speed: 1}}"), ball)
+    assert settings.disturbance.max_pushed_speed == 1.0  # type: ignore[attr-defined]
 
 
 def test_a_file_without_a_key_is_the_defaults(tmp_path: Path) -> None:

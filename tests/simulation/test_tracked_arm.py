@@ -61,7 +61,7 @@ def test_a_run_with_a_calibration_has_encoders_without_the_zeros_that_show() -> 
     robot = load_robot("panda")
     kind, left = base_type("fixed"), []
     for calibration in ("none", "drive"):
-        settings = TaskSettings(robot="panda", calibration=calibration)
+        settings = TaskSettings(robot="panda", plant={"calibration": calibration})
         left += misses(robot, make_system(robot, kind.mpc(robot), settings, 3).plant)
     assert left[0] > 0.5e-3 and left[1] < 0.1e-3
 

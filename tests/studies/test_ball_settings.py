@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from wbmpc.settings import Settings
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.baselines import regulator_weights
-from wbmpc.studies.minniti2019.controller_settings import Regulator
+from wbmpc.studies.minniti2019.controller_settings import Regulator, Separate
 from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.task import BENT_ARM, Task
@@ -30,12 +29,14 @@ BALL = [n for n in REGISTRY if issubclass(REGISTRY[n].config_type, RezeroSetting
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("rezero-door", "controller=lqr"), ("rezero-door", "tracking=actuators"),
-        ("rezero-door", "max_pushed_speed=1"),
-        ("rezero-frequency", "controller=separate"), ("rezero-frequency", "actuator_dead_time=0.02"),
-        ("rezero-frequency", "expected_push_time=0.1"), ("rezero-door", "expected_push_time=0.1"),
-        ("rezero-taskspace", "controller=lqr"), ("rezero-taskspace", "expected_push_time=0.1"), ("rezero-steps", "cost.torque.force=2"),
-        ("rezero-push-limit-hand", "forces=[8]"), ("slip", "forces=[8]"), ("touch", "door=heavy"),
+        ("rezero-door", "controller.tracking=actuators"), ("rezero-door", "controller.disturbance.max_pushed_speed=1"),
+        ("rezero-door", "controller.cost.end_effector.turn_limit=1"),
+        ("rezero-frequency", "controller.pace=3"), ("rezero-frequency", "controller.actuator_dead_time=0.02"),
+        ("rezero-frequency", "controller.disturbance.estimate_payload=false"), ("rezero-frequency", "plant.rate_noise=0.1"),
+        ("rezero-frequency", "controller.estimator.expected_push_time=0.1"),
+        ("rezero-door", "controller.estimator.expected_push_time=0.1"), ("rezero-steps", "controller.cost.torque.force=2"),
+        ("rezero-taskspace", "controller.estimator.expected_push_time=0.1"), ("rezero-steps", "mpc.horizon=2"),
+        ("rezero-push-limit-hand", "forces=[8]"), ("slip", "forces=[8]"), ("touch", "door=heavy"), ("touch", "speed=0.2"),
     ],
 )  # fmt: skip
 def test_what_an_experiment_does_not_use_is_no_key(name: str, given: str) -> None:
@@ -43,30 +44,24 @@ def test_what_an_experiment_does_not_use_is_no_key(name: str, given: str) -> Non
         configure(REGISTRY[name].config_type, [given], name)
 
 
-@pytest.mark.parametrize(("name", "given"), [("rezero-door", "cost.end_effector.turn_limit=1"), ("touch", "speed=0.2")])
-def test_what_is_there_for_another_experiment_is_rejected(name: str, given: str) -> None:
-    with pytest.raises(InputError, match=rf"{name}: --set {given.split('=')[0]}: this experiment does not use it"):
-        configure(REGISTRY[name].config_type, [given], name)
-
-
 @pytest.mark.parametrize(
     ("given", "name"),
     [
-        ("controller=lqr controller.expected_push_time=0.5", "controller.expected_push_time"),
-        ("controller=lqr controller.max_pushed_speed=1", "controller.max_pushed_speed"),
-        ("controller=lqr controller.estimate_payload=false", "controller.estimate_payload"),
+        ("controller=lqr controller.estimator.expected_push_time=0.5", "controller.estimator.expected_push_time"),
+        ("controller=lqr controller.disturbance.max_pushed_speed=1", "controller.disturbance.max_pushed_speed"),
+        ("controller=lqr controller.disturbance.estimate_payload=false", "controller.disturbance.estimate_payload"),
         ("controller=lqr controller.tracking=actuators", "controller.tracking.kind"),
         ("controller=lqr controller.pace=3", "controller.pace"),
         ("controller=separate controller.actuator_dead_time=0.005", "controller.actuator_dead_time"),
         ("controller.torque=3", "controller.torque"),
-        ("controller=lqr mpc.horizon=2", "mpc.horizon"),
-        ("controller=scheduled-lqr mpc.limits=soft", "mpc.limits"),
-        ("controller=taskspace mpc.iterations=2", "mpc.iterations"),
-        ("controller=taskspace cost.end_effector.weight=10", "cost.end_effector.weight"),
-        ("controller=separate cost.body.ball=5", "cost.body.ball"),
-        ("controller=separate-aware cost.end_effector.twist=5", "cost.end_effector.twist"),
-        ("controller=separate mpc.first_interval=0.01", "mpc.first_interval"),
-        ("controller=separate estimate_disturbance=false", "estimate_disturbance"),
+        ("controller=lqr controller.plan.horizon=2", "controller.plan.horizon"),
+        ("controller=scheduled-lqr controller.limits=soft", "controller.limits.kind"),
+        ("controller=taskspace controller.plan.iterations=2", "controller.plan.iterations"),
+        ("controller=taskspace controller.cost.end_effector.weight=10", "controller.cost.end_effector.weight"),
+        ("controller=separate controller.cost.body.ball=5", "controller.cost.body.ball"),
+        ("controller=separate-aware controller.cost.end_effector.twist=5", "controller.cost.end_effector.twist"),
+        ("controller=separate controller.plan.first_interval=0.01", "controller.plan.first_interval"),
+        ("controller=separate controller.disturbance=none", "controller.disturbance.kind"),
     ],
 )
 def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> None:
@@ -79,12 +74,12 @@ def test_what_the_controller_does_not_use_is_rejected(given: str, name: str) -> 
     ("given", "message"),
     [
         ("controller.torque=3", "controller.torque: nothing uses it without controller=lqr or controller=scheduled-lqr; "
-         "valid in controller=mpc: expected_push_time, max_pushed_speed, estimate_payload, tracking"),
+         "valid in controller=mpc: estimator, disturbance, plan, limits, cost, tracking"),
         ("controller=taskspace controller.tracking=actuators", "controller.tracking.kind: nothing uses it without controller=mpc; valid in"),
         ("controller.tracking=actuators controller.tracking.actuator_dead_time=0.005",
          "controller.tracking.actuator_dead_time: nothing uses it without controller.tracking=policy; valid in controller.tracking=actuators: "),
-        ("controller=lqr cost.lean=0.5", "cost.lean: nothing uses it without controller=mpc or controller=separate or controller=sep"),
-        ("controller=separate cost.torque.arm=9", "cost.torque.arm: nothing uses it without controller=mpc or controller=lqr or controller=sch"),
+        ("controller=lqr controller.cost.lean=0.5", "controller.cost.lean: nothing uses it without controller=mpc or controller=separate or "),
+        ("controller=separate controller.cost.torque.arm=9", "controller.cost.torque.arm: nothing uses it without controller=mpc or controller=lqr"),
         ("controller=pid", "controller.kind='pid': valid: mpc, lqr, scheduled-lqr, separate, separate-integral, separate-aware, taskspace"),
         ("controller=lqr controller.torqe=3", "unknown key 'controller.torqe' (did you mean 'controller.torque'?)"),
     ],
@@ -102,51 +97,26 @@ def test_a_message_names_the_choices_that_read_a_setting(given: str, message: st
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "unread", "other"),
+    ("name", "choice", "key", "value", "other"),
     [
-        ("rezero-steps", "estimator=truth plant.gyro_noise=1e-3", "plant.gyro_noise", "estimator=filter"),
-        ("rezero-steps", "estimator=truth plant.accel_bias=0.1", "plant.accel_bias", "estimator=filter"),
-        ("rezero-steps", "plant.position_noise=0.1", "plant.position_noise", "estimator=truth"),
-        ("rezero-frequency", "plant.rate_noise=0.1", "plant.rate_noise", "estimator=truth"),
-        ("rezero-steps", "mpc.limits=soft cost.speed_slack=3", "cost.speed_slack", "mpc.limits=hard"),
-        (
-            "rezero-steps",
-            "estimate_disturbance=false controller.estimate_payload=false",
-            "controller.estimate_payload",
-            "estimate_disturbance=true",
-        ),
-        (
-            "rezero-door",
-            "estimate_disturbance=false estimate_payload=false",
-            "estimate_payload",
-            "estimate_disturbance=true",
-        ),
-        (
-            "rezero-door",
-            "scheme.contact=wrench scheme.contact.max_rate=0.1",
-            "scheme.contact.max_rate",
-            "scheme.contact=door",
-        ),
-        (
-            "rezero-door",
-            "scheme.contact=wrench scheme.contact.baumgarte=3",
-            "scheme.contact.baumgarte",
-            "scheme.contact=door",
-        ),
-        ("rezero-door", "scheme.cone=none scheme.cone.friction=0.9", "scheme.cone.friction", "scheme.cone=cone"),
-        ("rezero-door", "scheme.cone=none scheme.cone.min_push=2", "scheme.cone.min_push", "scheme.cone=cone"),
-        ("rezero-door", "cost.lean=0 lean_share=0.9", "lean_share", "cost.lean > 0"),
-        ("rezero-frequency", "variants=['plain'] filters.arm_zero=30", "filters.arm_zero", "variants=shaped"),
-        ("rezero-circle", "yaw=free cost.body.yaw=3", "cost.body.yaw", "yaw=held"),
+        ("rezero-steps", "controller.estimator=filter", "controller.estimator.position_noise", "0.1", "truth"),
+        ("rezero-steps", "controller.estimator=truth", "controller.estimator.expected_push_time", "0.5", "filter"),
+        ("rezero-steps", "controller.limits=soft", "controller.limits.speed_slack", "3", "hard"),
+        ("rezero-steps", "controller.disturbance=none", "controller.disturbance.max_pushed_speed", "1", "estimated"),
+        ("rezero-door", "controller.disturbance=none", "controller.disturbance.estimate_payload", "false", "estimated"),
+        ("rezero-door", "scheme.contact=wrench", "scheme.contact.max_rate", "0.1", "door"),
+        ("rezero-door", "scheme.contact=wrench", "scheme.contact.approach.kind", "limited", "door"),
+        ("rezero-door", "scheme.cone=none", "scheme.cone.friction", "0.9", "cone"),
+        ("rezero-frequency", "shaped=none", "shaped.arm_zero", "30", "filters"),
     ],
 )
-def test_what_another_setting_makes_idle_is_rejected(name: str, given: str, unread: str, other: str) -> None:
+def test_what_a_choice_does_not_read_is_rejected(name: str, choice: str, key: str, value: str, other: str) -> None:
     """Each of the two alone is taken."""
-    kind, (*first, last) = REGISTRY[name].config_type, given.split()
-    with pytest.raises(InputError, match=f"{name}: --set {unread}: nothing uses it without {other}"):
-        configure(kind, given.split(), name)
-    configure(kind, first, name)
-    configure(kind, [last] if first else ["estimator=truth", last], name)
+    kind, (section, _, _) = REGISTRY[name].config_type, choice.partition("=")
+    with pytest.raises(InputError, match=f"{name}: --set {key}: nothing uses it without {section}={other}"):
+        configure(kind, [choice, f"{key}={value}"], name)
+    configure(kind, [choice], name)
+    configure(kind, [f"{section}={other}", f"{key}={value}"], name)
 
 
 def leaves(part: Settings, name: str = "cost") -> list[str]:
@@ -155,54 +125,35 @@ def leaves(part: Settings, name: str = "cost") -> list[str]:
     return [leaf for n, v in inside for leaf in (leaves(v, n) if isinstance(v, Settings) else [n])]
 
 
-def test_weights_that_a_regulator_takes_are_taken_and_no_others() -> None:
+def changed(settings: Settings, name: str) -> Settings:
+    """The same with another number in a dotted place."""
+    first, _, rest = name.partition(".")
+    value = getattr(settings, first)
+    return settings.model_copy(update={first: changed(value, rest) if rest else 0.5 * value + 0.07})
+
+
+def test_a_regulator_reads_every_weight_that_it_has() -> None:
     """Truth: whether its weights are other ones when a number of the costs is."""
-    robot, usual = load_robot("rezero"), RezeroPushHandSettings()
-    previous = regulator_weights(robot, usual, Regulator())
-    names = set(leaves(usual.cost))
+    robot, usual = load_robot("rezero"), Regulator()
+    previous = regulator_weights(robot, usual)
+    names = leaves(usual.cost)
     for name in names:
-        given = {"cost": usual.cost.model_copy(deep=True)}
-        *path, key = name.split(".")[1:]
-        part = reduce(getattr, path, given["cost"])
-        changed = 0.5 * getattr(part, key) + 0.07
-        object.__setattr__(part, key, changed)  # settings are frozen
-        after = regulator_weights(robot, usual.model_copy(update=given), Regulator())
-        reads = any(
-            not np.array_equal(getattr(previous, f), getattr(after, f))
-            for f in ("end_effector", "twist", "state", "torque")
-        )
-        for controller in ("lqr", "scheduled-lqr"):
-            asked = [f"controller={controller}", f"{name}={changed}"]
-            try:
-                configure(RezeroPushHandSettings, asked, "")
-            except InputError as error:
-                assert not reads and f"{name}: nothing uses it without controller=" in str(error)
-            else:
-                assert reads, name
-    assert len(names) == 19
+        after = regulator_weights(robot, changed(usual, name))  # type: ignore[arg-type]
+        fields = ("end_effector", "twist", "state", "torque")
+        assert any(not np.array_equal(getattr(previous, f), getattr(after, f)) for f in fields), name
+    assert len(names) == 14
 
 
-@pytest.mark.parametrize(
-    ("without", "needed"), [("estimator=truth", "estimator=filter"), ("cost.lean=0", "cost.lean > 0")]
-)
-def test_room_for_pushes_needs_a_limit_and_an_estimate(without: str, needed: str) -> None:
-    with pytest.raises(InputError, match=f"expected_push_time: nothing uses it without {needed}"):
-        configure(RezeroPushHandSettings, ["controller.expected_push_time=0.5", without], "rezero-push-hand")
-    configure(RezeroPushHandSettings, ["controller.expected_push_time=0", without], "rezero-push-hand")
-    configure(RezeroPushHandSettings, [without], "rezero-push-hand")
-
-
-def test_the_speed_at_which_learned_forces_end_a_run_needs_some_that_are_learned() -> None:
-    with pytest.raises(
-        InputError,
-        match=r"rezero-push-hand: --set controller\.max_pushed_speed: nothing uses it without estimate_disturbance=true",
-    ):
-        configure(
-            RezeroPushHandSettings, ["estimate_disturbance=false", "controller.max_pushed_speed=1"], "rezero-push-hand"
-        )
-    configure(
-        RezeroPushHandSettings, ["estimate_disturbance=true", "controller.max_pushed_speed=1"], "rezero-push-hand"
-    )
+def test_separate_control_reads_every_weight_of_its_base() -> None:
+    """Truth: whether the problem of the base is another one. Weights of the end effector and the arm's posture are of the arm's inverse."""
+    usual = Separate()
+    names = set(leaves(usual.cost))
+    of_arm = {"cost.body.arm", *(n for n in names if "end_effector" in n)}
+    for name in names - of_arm:
+        assert changed(usual, name).weights != usual.weights, name  # type: ignore[attr-defined]
+    assert len(names) == 8 and len(of_arm) == 4
+    own = {n: v for n, v in usual.weights.model_dump().items() if n in ("terminal", "lean")}
+    assert own == {"terminal": usual.cost.terminal, "lean": usual.cost.lean}
 
 
 @pytest.mark.parametrize(
@@ -212,17 +163,21 @@ def test_the_speed_at_which_learned_forces_end_a_run_needs_some_that_are_learned
         ("rezero-push-hand", "controller.tracking=actuators controller.tracking.wheel_damping=0.1"),
         (
             "rezero-push-hand",
-            "controller.expected_push_time=0.5 controller.estimate_payload=false controller.tracking.actuator_dead_time=0.005",
+            "controller.estimator.expected_push_time=0.5 controller.disturbance.estimate_payload=false "
+            "controller.tracking.actuator_dead_time=0.005",
         ),
-        ("rezero-taskspace", "taskspace.end_effector=4 tracking.actuator_dead_time=0.005"),
-        ("rezero-taskspace", "mpc.horizon=2 cost.end_effector.weight=10"),
+        ("rezero-taskspace", "taskspace.end_effector=4 controller.tracking.actuator_dead_time=0.005"),
+        ("rezero-taskspace", "controller.plan.horizon=2 controller.cost.end_effector.weight=10"),
         (
             "rezero-push-hand",
-            "controller=separate-integral mpc.horizon=1 mpc.limits=soft cost.lean=0.5 estimate_disturbance=false",
+            "controller=separate-integral controller.plan.horizon=1 controller.limits=soft controller.cost.lean=0.5 "
+            "controller.disturbance=none",
         ),
-        ("rezero-push-hand", "controller=separate cost.end_effector.weight=10 cost.body.arm=2 cost.body.yaw=3"),
+        (
+            "rezero-push-hand",
+            "controller=separate controller.cost.end_effector.weight=10 controller.cost.body.arm=2 controller.cost.terminal=3",
+        ),
         ("rezero-push-hand", "controller=lqr control.rate=200 mpc.rate=50"),
-        ("rezero-steps", "controller=lqr mpc.horizon=1 preview=true"),
     ],
 )
 def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
@@ -244,10 +199,10 @@ def test_what_the_controller_uses_is_taken(name: str, given: str) -> None:
             ["plant.drives=rigid", "plant.drives.wheel_rotor=0.1"],
             "wheel_rotor: nothing uses it without",
         ),
-        ("rezero-frequency", ["variants=['plain', 'plain']"], "each once"),
+        ("rezero-frequency", ["plain=false", "shaped=none"], "one variant at least"),
         ("rezero-frequency", ["step=[0,0,0]"], "a step of 0.01 to 1 m is needed"),
         ("rezero-frequency", ["settle_time=1"], "seen 1.3 s ahead"),
-        ("rezero-frequency", ["settle_time=0.5", "mpc.horizon=1"], "preview=false"),
+        ("rezero-frequency", ["settle_time=0.5", "controller.plan.horizon=1"], "preview=false"),
     ],
 )
 def test_what_cannot_be_judged_is_rejected(name: str, given: list[str], words: str) -> None:
@@ -272,17 +227,19 @@ def test_defaults_and_what_is_used_are_taken(name: str) -> None:
     kind = REGISTRY[name].config_type
     configure(kind, [], name)
     usual = configure(
-        kind, ["estimate_disturbance=false", "cost.torque.wheel=0.3", "plant.actuator_dead_time=0.008"], name
+        kind,
+        ["controller.disturbance=none", "controller.cost.torque.wheel=0.3", "plant.actuator_dead_time=0.008"],
+        name,
     )
-    assert usual.cost.torque.wheel == 0.3
+    assert usual.controller.cost.torque.wheel == 0.3
     if name not in ("rezero-door", "rezero-frequency", "rezero-taskspace", "touch", "slip"):
-        assert configure(kind, ["controller=lqr", "cost.body.ball_speed=0.5"], name).controller.kind == "lqr"
+        assert configure(kind, ["controller=lqr", "controller.cost.body.ball_speed=0.5"], name).controller.kind == "lqr"
 
 
 def test_factors_of_a_regulator_are_of_the_weights_that_they_name() -> None:
-    robot, settings = load_robot("rezero"), RezeroPushHandSettings()
-    usual = regulator_weights(robot, settings, Regulator())
-    of = lambda **factors: regulator_weights(robot, settings, Regulator(**factors))
+    robot = load_robot("rezero")
+    usual = regulator_weights(robot, Regulator())
+    of = lambda **factors: regulator_weights(robot, Regulator(**factors))
     wheels, arm = robot.input["wheel"], robot.input["arm"]
     torque = usual.torque.copy()
     torque[wheels], torque[arm] = 3.0 * torque[wheels], 6.0 * torque[arm]

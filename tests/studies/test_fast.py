@@ -9,10 +9,10 @@ import wbmpc as wb
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
 from wbmpc.registry import load
-from wbmpc.studies.pankert2022.fast import SwerveFastSettings, WheelWatch, build
+from wbmpc.studies.pankert2022.fast import SwerveFastSettings, WheelWatch
 from wbmpc.studies.pankert2022.fast_courses import PILLAR, SHIFT, SCurve, Slalom, path_error, time_to_goal
 from wbmpc.tasks.obstacles import Extent
-from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings
+from wbmpc.tasks.settings import TaskMpcSettings
 from wbmpc.types import Truth
 
 
@@ -80,7 +80,7 @@ def test_a_short_slalom_touches_nothing_and_lifts_no_wheel() -> None:
         "course.first=2.0",
         "course.length=4.0",
         "after=4",
-        "calibration=none",
+        "plant.calibration=none",
     ]
     found = experiment.run(configure(experiment.config_type, course, "swerve-fast"), 1)
     values = {name: metric.value for name, metric in found.metrics.items()}
@@ -120,34 +120,19 @@ def test_wheels_are_watched_from_the_order_on() -> None:
     assert found["tilt_max"].value == pytest.approx(0.039)
 
 
-@pytest.mark.parametrize(
-    ("model", "keep", "kept"),
-    [
-        (None, "nothing", "nothing"),
-        (None, "support_margin", "support_margin"),
-        ("dynamic", "nothing", "wheel_loads"),
-        ("dynamic", "support_margin", "support_margin"),
-        ("kinematic", "wheel_loads", "nothing"),
-    ],
-)
-def test_the_model_says_what_plans_keep(model: str | None, keep: str, kept: str) -> None:
-    settings = TaskSettings.model_validate({"mpc": {"model": model}, "stability": keep})
-    assert getattr(settings.upright, "kind", "nothing") == kept
-
-
 def test_the_experiment_has_both_models() -> None:
     found = load("swerve-fast")
     assert configure(found.config_type, [], "swerve-fast").upright.payload == 10.0
-    assert configure(found.config_type, ["mpc.model=kinematic"], "swerve-fast").upright is None
-    assert SwerveFastSettings().mpc == TaskMpcSettings(model="dynamic", horizon=2.0)
-    with pytest.raises(InputError, match="kinematic robots do not tip"):
-        build(SwerveFastSettings(physics="kinematic"), 0)
+    assert configure(found.config_type, ["stability=nothing"], "swerve-fast").upright is None
+    assert SwerveFastSettings().mpc == TaskMpcSettings(horizon=2.0)
+    with pytest.raises(InputError, match=r"swerve-fast: --set plant\.kind='kinematic'"):
+        configure(found.config_type, ["plant=kinematic"], "swerve-fast")
 
 
 def test_an_arm_that_is_a_counterweight_keeps_off_the_floor() -> None:
     """Plans that trust little friction swing the load down to the floor, which ended the run. Truth: MuJoCo's contacts."""
     experiment = load("swerve-fast")
-    changes = ["course=s-curve", "plant.friction=0.4", "stability.friction=0.2", "calibration=none", "after=3"]
+    changes = ["course=s-curve", "plant.friction=0.4", "stability.friction=0.2", "plant.calibration=none", "after=3"]
     result = experiment.run(configure(experiment.config_type, changes, "swerve-fast"), 1)
     assert result.outcome == "completed" and result.metrics["contacts_unwanted"].value == 0.0
     assert result.metrics["path_error_max"].value < 0.03 and result.metrics["wheel_slip_max"].value < 0.1

@@ -159,7 +159,7 @@ def values(metrics: dict[str, Metric]) -> dict[str, float]:
         ({}, 20.53, 15.96),
         ({"variant": "vertical"}, 20.53, 15.96),
         ({"variant": "peaks"}, None, 15.96),
-        ({"amplitude": 0.3}, None, 15.96),
+        ({"variant": {"kind": "horizontal", "amplitude": 0.3}}, None, 15.96),
         ({"periods": 1}, None, None),
     ],
 )

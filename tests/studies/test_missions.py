@@ -212,26 +212,23 @@ def test_what_the_way_of_the_legs_does_not_read_is_rejected(legs: str, given: st
     configure(settings, [f"legs={other}", given], "swerve-unified")
 
 
-FILE = "calibration=wheels.yaml"
-
-
 @pytest.mark.parametrize(
     ("experiment", "given", "words"),
     [
         (
             "swerve-track",
-            ["variant=peaks", "amplitude=0.1"],
-            "amplitude: nothing uses it without variant=horizontal or variant=vertical",
+            ["variant=peaks", "variant.amplitude=0.1"],
+            "variant.amplitude: nothing uses it without variant=horizontal or variant=vertical",
         ),
         (
             "swerve-track",
-            [FILE, "lidar.position=0.5"],
-            "lidar.position: nothing uses it without localization=lidar or calibration=drive",
+            ["localization=none", "localization.position=0.5"],
+            "localization.position: nothing uses it without localization=lidar",
         ),
         (
             "swerve-plaster",
-            [FILE, "localization=none", "lidar.rate=5"],
-            "lidar.rate: nothing uses it without localization=lidar or calibration=drive",
+            ["calibration=file", "calibration.lidar.rate=5"],
+            "calibration.lidar.rate: nothing uses it without calibration=drive",
         ),
         ("swerve-fixed", ["motions=[]", "random_time=0"], "motions: none is left, and random_time is 0"),
         (
@@ -251,10 +248,9 @@ def test_what_nothing_reads_or_nobody_can_follow_is_rejected(experiment: str, gi
 @pytest.mark.parametrize(
     ("experiment", "given"),
     [
-        ("swerve-track", ["lidar.position=0.5"]),
-        ("swerve-track", [FILE, "localization=lidar", "lidar.position=0.5"]),
-        ("swerve-plaster", [FILE, "lidar.rate=5"]),
-        ("swerve-plaster", ["localization=none", "lidar.rate=5"]),
+        ("swerve-track", ["calibration.lidar.position=0.5"]),
+        ("swerve-track", ["calibration=file", "localization=lidar", "localization.position=0.5"]),
+        ("swerve-plaster", ["calibration=none", "localization.rate=5"]),
     ],
 )
 def test_a_localization_that_the_run_or_its_reference_drive_has_is_taken(experiment: str, given: list[str]) -> None:

@@ -110,7 +110,7 @@ def test_the_upright_sine_is_as_long_as_the_other_and_within_reach() -> None:
     path = references.curve()
     assert references.path.arc_length == pytest.approx(20.53, abs=0.01)
     assert np.ptp(path, axis=0) == pytest.approx([15.96, 0.0, 2 * 0.498], abs=1e-4)
-    small = track.TrackReferences(track.SwerveTrackSettings(variant="vertical", amplitude=0.1), robot)
+    small = track.TrackReferences(track.SwerveTrackSettings(variant={"kind": "vertical", "amplitude": 0.1}), robot)
     assert np.ptp(small.curve()[:, 2]) == pytest.approx(0.2, abs=1e-4)
     way = [np.linspace(track.HEIGHT, end, 12) for end in (path[:, 2].min(), path[:, 2].max())]
     for z in way:

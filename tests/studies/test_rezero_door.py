@@ -98,7 +98,7 @@ def test_chattering_contact_stays_inside_the_friction_cone(monkeypatch) -> None:
     contact nothing is planned from the next plan on (12.5 ms, and 10 ms of delay)."""
     monkeypatch.setattr(tracker, "ContactMonitor", Chattering)
     settings = SHORT.model_copy(update={"timeout": 3.8, "final_hold_time": 0.2, "forces": (8.0,)})
-    trial = door_trial.push_door(settings, 8.0, 2)
+    trial = door_trial.push_door(settings, 8.0, settings.speed, 2)
     log = trial.log
     assert not trial.ending.reason
     normal, planned, touching = log.array("normal"), log.array("force_planned"), log.array("touching") > 0.0
@@ -121,7 +121,7 @@ def test_no_more_force_than_a_lean_holds_that_is_to_stop_again(monkeypatch) -> N
     robot = door_trial.ball_robot(SHORT, contact="force")
     maximum = door_trial.held(SHORT, robot)
     assert maximum == pytest.approx(0.6 * 115.2 / 1.97, rel=2e-3)
-    free = SHORT.model_copy(update={"cost": SHORT.cost.model_copy(update={"lean": 0.0})})
+    free = RezeroDoorSettings(controller={"cost": {**SHORT.controller.cost.model_dump(), "lean": 0.0}})
     assert door_trial.bounded(free, robot, 200.0) == (200.0, "")
     monkeypatch.setattr(door_trial, "held", lambda *_: maximum)
     for force in (8.0, 16.0, 20.9):
@@ -141,7 +141,7 @@ def test_without_the_row_the_force_is_missed() -> None:
             "final_hold_time": 0.2,
         }
     )
-    trial = door_trial.push_door(paper, 8.0, 1)
+    trial = door_trial.push_door(paper, 8.0, paper.speed, 1)
     figures = trial_metrics(trial)
     assert not trial.ending.reason
     assert figures["force_error_ratio"] > 0.15

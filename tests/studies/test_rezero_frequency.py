@@ -37,9 +37,7 @@ def test_filters_halve_the_torque_error(both) -> None:  # type: ignore[no-untype
 @thorough
 def test_rigid_drives_do_what_they_are_asked_for() -> None:
     rigid = {"drives": "rigid", "actuator_time_constant": 0.0}
-    settings = RezeroFrequencySettings(
-        **{**SHORT, "settle_time": 1.3, "hold_time": 1.0}, variants=("shaped",), plant=rigid
-    )
+    settings = RezeroFrequencySettings(**{**SHORT, "settle_time": 1.3, "hold_time": 1.0}, plain=False, plant=rigid)
     result = REGISTRY["rezero-frequency"].run(settings, 0, None)
     assert result.completed, result.reason
     assert result.metrics["torque_error_rms_shaped"].value < 1e-9
@@ -48,7 +46,7 @@ def test_rigid_drives_do_what_they_are_asked_for() -> None:
 
 
 def test_bad_settings() -> None:
-    with pytest.raises(InputError, match="some of plain, shaped"):
-        configure(RezeroFrequencySettings, ["variants=['other']"], "rezero-frequency")
-    with pytest.raises(InputError, match=r"filters\.wheel_zero"):
-        configure(RezeroFrequencySettings, ["filters.wheel_zero=0"], "rezero-frequency")
+    with pytest.raises(InputError, match="one variant at least is needed"):
+        configure(RezeroFrequencySettings, ["plain=false", "shaped=none"], "rezero-frequency")
+    with pytest.raises(InputError, match=r"shaped\.wheel_zero"):
+        configure(RezeroFrequencySettings, ["shaped.wheel_zero=0"], "rezero-frequency")

@@ -13,7 +13,6 @@ from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019 import circle as rezero_circle
 from wbmpc.studies.minniti2019 import wholebody as rezero_wholebody
 from wbmpc.studies.minniti2019.circle import RezeroCircleSettings
-from wbmpc.studies.minniti2019.controller_settings import WholeBodyMpc
 from wbmpc.studies.minniti2019.push_settings import RezeroPushBallSettings, RezeroPushHandSettings
 from wbmpc.studies.minniti2019.task import BENT_ARM
 from wbmpc.studies.minniti2019.wholebody import RezeroWholebodySettings
@@ -79,7 +78,7 @@ def test_regulators_stand_a_small_push_without_a_plan(controller: str) -> None:
 def test_a_fall_is_foreseen_and_ends_with_motors_off() -> None:
     """180 N s, without room for a push that is felt: the robot falls, and the run ends before it has."""
     result = REGISTRY["rezero-push-hand"].run(
-        RezeroPushHandSettings(forces=(900.0,), settle_time=0.5, controller=WholeBodyMpc(expected_push_time=0.0)),
+        RezeroPushHandSettings(forces=(900.0,), settle_time=0.5, controller={"estimator": {"expected_push_time": 0.0}}),
         0,
         None,
     )

@@ -103,9 +103,9 @@ def test_the_limit_falls_as_its_differential_equation_says() -> None:
 
 def test_plans_that_lean_for_a_touch_close_its_gap_at_its_speed() -> None:
     """Slow gaps close by g̈ + 2 λ ġ + λ² g = 0."""
-    scheme = DoorScheme(approach=LimitedApproach(touch_speed=0.01, leans=True))
+    scheme = DoorScheme(contact=DoorEquation(approach=LimitedApproach(touch_speed=0.01, leans=True)))
     assert scheme.lead * DoorEquation().baumgarte / 2.0 == pytest.approx(0.01)
-    assert DoorScheme(approach=LimitedApproach()).lead == 0.0 and DoorScheme().lead == 0.0
+    assert DoorScheme(contact=DoorEquation(approach=LimitedApproach())).lead == 0.0 and DoorScheme().lead == 0.0
 
 
 def test_a_touch_is_no_part_of_a_plan_before_it_is_felt() -> None:

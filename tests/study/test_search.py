@@ -68,7 +68,7 @@ def test_the_best_settings_as_a_file_are_those_that_were_run(
     """A range that is of one choice alone means nothing without it. Truth: the settings of the run that takes the file."""
     pytest.importorskip("optuna")
     text = """
-experiments: {end-effector-track: {path.kind: circle, physics: kinematic}}
+experiments: {end-effector-track: {path.kind: circle, plant: kinematic}}
 robots: [panda-omni]
 settings: {path.length: 0.1}
 seeds: 300
@@ -82,7 +82,7 @@ tune:
     best = ["--config", str(tmp_path / "out" / "best.yaml"), "--out", str(tmp_path / "run"), "--json"]
     assert main(["run", "end-effector-track", *best]) == 0
     used = json.loads((tmp_path / "run" / "metrics.json").read_text())["settings"]
-    assert used["robot"] == "panda-omni" and used["physics"] == "kinematic"
+    assert used["robot"] == "panda-omni" and used["plant"] == {"kind": "kinematic"}
     assert (used["path"]["kind"], used["path"]["length"], used["path"]["laps"]) == (
         "circle",
         0.1,

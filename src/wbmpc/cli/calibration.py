@@ -99,4 +99,4 @@ def calibrate(
         return
     for line in found.lines():
         typer.echo(line)
-    typer.echo(f"written to {target}; use it with --set calibration={target}")
+    typer.echo(f"written to {target}; use it with --set calibration=file --set calibration.file={target}")

@@ -44,7 +44,7 @@ def metric_cells(result: RunResult, name: str) -> list[str]:
 
 def exact(result: RunResult) -> bool:
     """Whether the planner's own model was simulated, without physics."""
-    return result.settings.get("physics") == "kinematic"
+    return bool(result.settings.get("plant", {}).get("kind") == "kinematic")
 
 
 def goal_text(metric: Metric, shown: Scale) -> str:

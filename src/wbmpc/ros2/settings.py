@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from wbmpc.bases import base_type
 from wbmpc.bases.base import WHEELS
-from wbmpc.configuration import describe, keys
+from wbmpc.configuration import describe, keys, keys_of
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.robot import RobotModel
 from wbmpc.robots.frames import MAP
@@ -350,10 +350,10 @@ def load_settings(path: Path | None, robot: RobotModel) -> RosSettings:
         _check_joints(settings, robot)
         _check_topics(settings, settings.command_topics(robot))
     except ValidationError as error:
-        unknown = [f["loc"] for f in error.errors(include_url=False) if f["type"] == "extra_forbidden"]
+        unknown = [keys_of(f["loc"], kind) for f in error.errors(include_url=False) if f["type"] == "extra_forbidden"]
         if unknown:
             raise unknown_name("key", ".".join(map(str, unknown[0])), _siblings(kind, unknown[0]), str(path)) from error
-        raise InputError(f"{path}: {describe(error)}") from error
+        raise InputError(f"{path}: {describe(error, kind)}") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return settings

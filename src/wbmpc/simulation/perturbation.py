@@ -88,7 +88,7 @@ class Perturbation(BaseModel):
     def none(cls, **changes: Any) -> Self:
         """A plant like the model, with perfect sensors; drives keep a lag of 20 ms. ``changes`` replace fields."""
         left = {n: v for kind in reversed(cls.__mro__) for n, v in getattr(kind, "LEFT", {}).items()}
-        zero = {name: 0 for name, info in cls.model_fields.items() if not isinstance(info.default, BaseModel)}
+        zero = {name: 0 for name, info in cls.model_fields.items() if not isinstance(info.default, BaseModel | str)}
         return cls(**{**zero, **left, **changes})
 
     def module_offsets(self) -> tuple[float, float]:

@@ -40,8 +40,8 @@ class FloorFrictionWatch:
             )
         if not hasattr(system.controller, "slip"):
             raise InputError(
-                f"stability.estimate_friction: the base of '{robot.description.name}' with physics={settings.physics} compares no wheels with an "
-                "accelerometer; valid: a base of steered wheels with physics=mujoco"
+                f"stability.estimate_friction: the base of '{robot.description.name}' with plant={settings.plant.kind} compares no wheels with an "
+                "accelerometer; valid: a base of steered wheels with plant=mujoco"
             )
         plant: Any = system.plant
         return cls(kept, robot, system, log, plant.draw.friction)

@@ -37,7 +37,7 @@ from wbmpc.tasks.payload import PayloadWatch
 from wbmpc.tasks.perception import Perception, PerceptionSettings
 from wbmpc.tasks.reference_drive import arm_zeros, calibration
 from wbmpc.tasks.scene import SceneWatch, believed
-from wbmpc.tasks.settings import SimulationSettings
+from wbmpc.tasks.settings import KinematicPlant, SimulationSettings
 from wbmpc.types import Truth
 
 Array = np.ndarray
@@ -62,7 +62,8 @@ def make_system(
 ) -> System:
     """Plant and controller for an MPC on the robot's own dynamics; ``edit`` adds to MuJoCo's scene. Raises :class:`InputError` for another
     MPC's."""
-    if settings.physics == "kinematic":
+    chosen = settings.plant
+    if isinstance(chosen, KinematicPlant):
         whole = [rate for rate in MODEL_RATES if (rate / mpc.rate).is_integer()]
         rate = (whole or MODEL_RATES)[0]
         plant = ModelPlant(robot, mpc, mpc.solver.trajectory(0.0).x[0, : mpc.dynamics.state.size], 1.0 / rate, edit)
@@ -71,14 +72,14 @@ def make_system(
     own = mpc.dynamics
     if (own.state.names, own.input.names) != (robot.state.names, robot.input.names):
         raise InputError(
-            "physics: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
+            "plant: MuJoCo needs an MPC on the robot's own dynamics (robot.dynamics()); valid with others: kinematic"
         )
     more: dict[str, Any] = {} if edit is None else {"edit": edit}
-    if settings.calibration == "drive":
-        known = calibration(robot, settings.plant, seed)
+    if chosen.calibration == "drive":
+        known = calibration(robot, chosen.perturbation, seed)
         more |= {} if known is None else {"calibration": known}
-    made = base_type(robot.description.base.type).system(robot, seed, settings.plant, mpc, **more)
-    if settings.calibration == "drive" and isinstance(made.plant, ArmPlant):
+    made = base_type(robot.description.base.type).system(robot, seed, chosen.perturbation, mpc, **more)
+    if chosen.calibration == "drive" and isinstance(made.plant, ArmPlant):
         made.plant.set_zeros(arm_zeros(robot, made.plant, seed))
     steps = made.timing
     timing = Timing.of(made.plant.timestep, 1.0 / steps.period, mpc.rate, settings.computation_delay)
@@ -144,8 +145,8 @@ def closed_loop(
 
     longest = min(duration + DETOURS, LONGEST_RUN) if others else duration
     loop = Loop(system.plant, system.controller, mpc, system.timing, longest, record, over)
-    tracked = TRACKED if settings.calibration == "drive" else []
-    return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.physics] + tracked)
+    tracked = TRACKED if getattr(settings.plant, "calibration", "none") == "drive" else []
+    return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.plant.kind] + tracked)
 
 
 def _surroundings(

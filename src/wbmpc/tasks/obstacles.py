@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
-from wbmpc.configuration import Rules
+from wbmpc.configuration import OneOf
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -26,7 +26,7 @@ from wbmpc.obstacles.shapes import Box, Capsule, Cylinder
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.following import ClockReference, PathTaskSettings, Task
+from wbmpc.tasks.following import ClockReference, PathTaskSettings, ProgressReference, Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
 from wbmpc.tasks.perception import PerceptionSettings
@@ -50,16 +50,19 @@ LOW = 0.6
 PAST = 0.4
 
 
+class PatientClock(ClockReference):
+    """``patience`` [s]: how long the path of a clock may wait for the robot in all."""
+
+    patience: float = Field(6.0, ge=0.0, le=600.0)
+
+
 class Among(PathTaskSettings):
-    """``obstacles``: another scene than the experiment's own; ``patience`` [s]: how long the path of a clock may wait for the robot in all;
-    ``when_stuck``: what a robot does whose plans lead no farther: "alternatives" tries others (of bases that move and do not balance), "wait"
-    does not."""
+    """``obstacles``: another scene than the experiment's own; ``when_stuck``: what a robot does whose plans lead no farther:
+    "alternatives" tries others (of bases that move and do not balance), "wait" does not."""
 
     path: AnyPath = Line(length=4.0)
-    patience: float = Field(6.0, ge=0.0, le=600.0)
+    reference: OneOf[PatientClock | ProgressReference] = PatientClock()
     when_stuck: Literal["alternatives", "wait"] = "alternatives"
-
-    only_with: ClassVar[Rules] = {"patience": {"reference.kind": "clock"}}
 
 
 #: Speed of a person who crosses [m/s].
@@ -269,8 +272,8 @@ def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
     task = Task(settings, obstacles=True)
     robot, mpc, end = task.robot, task.mpc, task.end
     metrics: Callable[[Log], dict[str, Metric]] | None = task.metrics
-    if isinstance(settings.reference, ClockReference):
-        end += settings.patience
+    if isinstance(settings.reference, PatientClock):
+        end += settings.reference.patience
         if isinstance(settings, Corridor):
             mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None
     made = scene(settings, robot, seed) if settings.obstacles is None else None

@@ -14,7 +14,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import StabilitySettings
-from wbmpc.tasks.settings import SimulationSettings, TaskSettings
+from wbmpc.tasks.settings import KinematicPlant, SimulationSettings, TaskSettings
 
 #: Plans change when the mass has changed by so much [kg].
 CHANGE = 0.02
@@ -34,9 +34,9 @@ class PayloadWatch:
         kept = settings.upright if isinstance(settings, TaskSettings) else None
         if kept is None or not kept.estimate_payload:
             return None
-        if settings.physics != "mujoco":
+        if isinstance(settings.plant, KinematicPlant):
             raise InputError(
-                f"stability.estimate_payload: with physics={settings.physics} no drive has a torque; valid: physics=mujoco"
+                "stability.estimate_payload: with plant=kinematic no drive has a torque; valid: plant=mujoco"
             )
         return cls(kept, robot, system, log, settings.plant.payload)
 

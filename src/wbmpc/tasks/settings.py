@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from wbmpc.bases import base_type
-from wbmpc.configuration import Rules
+from wbmpc.configuration import OneOf
 from wbmpc.errors import unknown_name
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
@@ -23,36 +23,47 @@ from wbmpc.settings import (
     Settings,
     Stability,
     StabilitySettings,
-    WheelLoadSettings,
 )
 from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.obstacles import load_scene
 from wbmpc.stability import standing
 
 
+class MujocoPlant(AnyPerturbation):
+    """A perturbed robot in MuJoCo, with noise and lag. ``calibration``: what is known of its wheels and arm, "none", or before the run: of
+    the wheels what a reference "drive" with global poses shows, of the zeros of the arm's encoders what an end effector does that is
+    tracked."""
+
+    kind: Literal["mujoco"] = "mujoco"
+    calibration: Literal["none", "drive"] = "none"
+
+    @property
+    def perturbation(self) -> AnyPerturbation:
+        """How it differs from the planner's model."""
+        return AnyPerturbation.model_construct(**{n: getattr(self, n) for n in AnyPerturbation.model_fields})
+
+
+class KinematicPlant(Settings):
+    """The planner's own model, exact and fast."""
+
+    kind: Literal["kinematic"] = "kinematic"
+
+
 class SimulationSettings(Settings):
-    """``physics``: mujoco with the perturbed ``plant``, noise and lag, or kinematic: the planner's own model, exact and fast;
-    ``computation_delay`` [s]: modeled time of a solve; ``settle_time`` [s]: before the task begins, at rest; ``calibration``: what
-    is known of wheels and arm, "none", or before the run: of the wheels what a reference "drive" with global poses shows, of the zeros of the
-    arm's encoders what an end effector does that is tracked; ``obstacles``: a YAML file of what stands and moves in the simulated world
+    """``plant``: mujoco (:class:`MujocoPlant`) or kinematic (:class:`KinematicPlant`); ``computation_delay`` [s]: modeled time of a solve;
+    ``settle_time`` [s]: before the task begins, at rest; ``obstacles``: a YAML file of what stands and moves in the simulated world
     (docs/how-to/obstacles.md)."""
 
-    physics: Literal["mujoco", "kinematic"] = "mujoco"
-    plant: AnyPerturbation = AnyPerturbation()
+    plant: OneOf[MujocoPlant | KinematicPlant] = MujocoPlant()
     computation_delay: float = Field(COMPUTATION_DELAY, ge=0, le=1.0)
     settle_time: float = Field(1.0, ge=0, le=60)
-    calibration: Literal["none", "drive"] = "none"
     obstacles: Annotated[Path | None, ReadBy(load_scene)] = None
-
-    only_with: ClassVar[Rules] = {"plant": {"physics": "mujoco"}, "calibration": {"physics": "mujoco"}}
 
 
 class TaskMpcSettings(Settings):
     """Of the MPC; left out (none): as the robot's base type has them. ``rate`` [Hz]: update rate of the MPC; ``horizon`` [s]: length of
     the horizon; ``intervals``: number of intervals of the horizon; ``first_interval`` [s]: of a geometric grid, 0: a uniform one;
-    ``iterations``: solver iterations per update; ``limits``: whether they are kept as hard constraints; ``model``: "kinematic" plans by
-    speeds, "dynamic" by accelerations, with the loads of all wheels or what else ``stability`` keeps (left out: by accelerations where
-    it keeps something)."""
+    ``iterations``: solver iterations per update; ``limits``: whether they are kept as hard constraints."""
 
     rate: float | None = Field(None, ge=1e-3, le=10_000)
     horizon: float | None = Field(None, gt=0, le=1000)
@@ -60,14 +71,14 @@ class TaskMpcSettings(Settings):
     first_interval: float | None = Field(None, ge=0, le=1000)
     iterations: int | None = Field(None, ge=1, le=50)
     limits: Literal["hard", "soft"] | None = None
-    model: Literal["kinematic", "dynamic"] | None = None
 
 
 class TaskSettings(SimulationSettings):
     """``robot``: a name (see 'wbmpc list') or a file; ``mpc``: what differs from the robot's default problem;
     ``weights``: factors of costs by name, as the sliders of a view set them; ``avoid``:
     "nothing" for plans that know of no obstacles, to compare with; ``stability``: what keeps a robot from tipping over that stops fast
-    with a load. The others (``physics``, ``plant``, ``computation_delay``, ``settle_time``, ``obstacles``): :class:`SimulationSettings`."""
+    with a load; where it keeps something, plans are by accelerations. The others (``plant``, ``computation_delay``, ``settle_time``,
+    ``obstacles``): :class:`SimulationSettings`."""
 
     robot: Robot = "differential-ur10"
     mpc: TaskMpcSettings = TaskMpcSettings()
@@ -77,12 +88,8 @@ class TaskSettings(SimulationSettings):
 
     @property
     def upright(self) -> StabilitySettings | None:
-        """What plans keep: ``stability`` as far as the model of the MPC knows of loads."""
-        if self.mpc.model == "kinematic":
-            return None
-        if isinstance(self.stability, StabilitySettings):
-            return self.stability
-        return WheelLoadSettings() if self.mpc.model == "dynamic" else None
+        """What plans keep."""
+        return self.stability if isinstance(self.stability, StabilitySettings) else None
 
     def prepare(
         self,
@@ -94,9 +101,7 @@ class TaskSettings(SimulationSettings):
         there are any; ``progress``: which frame of the robot follows a path at its own speed (none: references have a clock). Raises
         :class:`InputError` for a weight of no cost."""
         robot = robot or load_robot(self.robot)
-        changes: dict[str, Any] = {
-            name: value for name, value in self.mpc.model_dump(exclude={"model"}).items() if value is not None
-        }
+        changes: dict[str, Any] = {name: value for name, value in self.mpc.model_dump().items() if value is not None}
         if self.avoid == "obstacles" and (obstacles or self.obstacles is not None):
             changes["obstacles"] = Obstacles()
         if self.upright is not None:

@@ -39,7 +39,7 @@ def simulate(
     numbers; ``name`` of the run in files and in the view.
 
     In MuJoCo by default: plant perturbed against the model, noisy sensors, drives with lag, delay. ``settings`` are those of
-    :class:`wbmpc.tasks.settings.SimulationSettings`: ``physics="kinematic"`` for the model itself, ``plant={"mass": 0}``,
+    :class:`wbmpc.tasks.settings.SimulationSettings`: ``plant="kinematic"`` for the model itself, ``plant={"mass": 0}``,
     ``computation_delay``. ``out``: a directory for metrics.json, log.npz, report.html and run.mcap (default: no files); ``view``: show it
     in a browser, in real time; ``since`` [s]: metrics of errors start then. Raises :class:`InputError` for bad settings, and for a
     directory that already has a run. A run that ends early is returned with its reason.

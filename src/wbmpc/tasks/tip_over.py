@@ -14,12 +14,11 @@ from wbmpc.mpc.route import base_part
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, SupportMarginSettings, WheelLoadSettings
-from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.stability import StanceOf, leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
-from wbmpc.tasks.settings import TaskSettings
+from wbmpc.tasks.settings import MujocoPlant, TaskSettings
 from wbmpc.types import Truth
 
 Array = np.ndarray
@@ -37,7 +36,7 @@ class TipOverSettings(TaskSettings):
     0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
-    plant: AnyPerturbation = AnyPerturbation(payload=10.0, wheel_radius_each=0.0)
+    plant: MujocoPlant = MujocoPlant(payload=10.0, wheel_radius_each=0.0)
     stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
     settle_time: float = Field(0.5, ge=0, le=60)
@@ -149,8 +148,6 @@ def check_stands(robot: RobotModel, payload: float, kept: float = 0.0) -> None:
 
 def build(settings: TipOverSettings, seed: int) -> Scenario:
     """One run."""
-    if settings.physics != "mujoco":
-        raise InputError("tip-over: physics=kinematic: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
     base_part(robot, "tip-over")
     robot = reaching(robot, settings.direction, settings.legs)

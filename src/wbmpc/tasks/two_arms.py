@@ -97,7 +97,7 @@ def build(settings: TwoArmsSettings, seed: int) -> Scenario:
 
     def metrics(log: Log) -> dict[str, Metric]:
         _, off, turned = held(log)
-        goal = 2e-3 if settings.physics == "mujoco" else 5e-5
+        goal = 2e-3 if settings.plant.kind == "mujoco" else 5e-5
         return {
             "grasp_error_mean": Metric(float(off.mean()), "m"),
             "grasp_error_max": Metric(float(off.max()), "m", goal=goal),

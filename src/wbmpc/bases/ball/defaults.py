@@ -17,33 +17,52 @@ from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, Relaxe
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
 
 
-class EndEffectorCost(Settings):
+class PoseCost(Settings):
     """Weights of the end effector. ``weight`` [1/m²]: weight of the position; ``orientation`` [1/rad²]: weight of the orientation about
     the x and y axes of the end effector; ``roll`` [1/rad²]: weight of the rotation about the forearm, which the arm cannot control at
-    rest; ``twist`` [s²/m²]: weight of the linear velocity; ``angular`` [s²/rad²]: weight of the angular velocity; ``limit`` [m]: larger
-    position errors pull no harder (SmoothL1), so that a sudden goal does not ask for more than the wheels' torque; ``turn_limit``
-    [rad]: the same of orientations."""
+    rest."""
 
     weight: Weight = 300.0
     orientation: Weight = 60.0
     roll: Weight = 3.0
-    limit: Positive = 0.1
-    turn_limit: Positive = 0.1
+
+
+class MotionCost(PoseCost):
+    """``twist`` [s²/m²]: weight of the linear velocity; ``angular`` [s²/rad²]: weight of the angular velocity."""
+
     twist: Weight = 1.0
     angular: Weight = 0.2
 
 
-class BodyCost(Settings):
-    """Weights per second. ``ball``: weight of the ball's position; ``ball_speed``: weight of the ball's speed; ``yaw``: weight of the
-    heading; ``yaw_rate``: weight of the heading's rate; ``tilt_rate``: weight of the lean's rate; ``arm``: weight of the arm's posture
-    (against home); ``arm_rate``: weight of the arm's joint speeds."""
+class ApproachCost(MotionCost):
+    """``limit`` [m]: larger position errors pull no harder (SmoothL1), so that a sudden goal does not ask for more than the wheels'
+    torque."""
+
+    limit: Positive = 0.1
+
+
+class EndEffectorCost(ApproachCost):
+    """``turn_limit`` [rad]: larger errors of the orientation pull no harder."""
+
+    turn_limit: Positive = 0.1
+
+
+class PostureCost(Settings):
+    """Weights per second. ``yaw``: weight of the heading; ``yaw_rate``: weight of the heading's rate; ``arm``: weight of the arm's posture
+    (against home)."""
+
+    yaw: Weight = 1.0
+    yaw_rate: Weight = 0.5
+    arm: Weight = 0.0
+
+
+class BodyCost(PostureCost):
+    """``ball``: weight of the ball's position; ``ball_speed``: weight of the ball's speed; ``tilt_rate``: weight of the lean's rate;
+    ``arm_rate``: weight of the arm's joint speeds."""
 
     ball: Weight = 0.0
     ball_speed: Weight = 1.0
-    yaw: Weight = 1.0
-    yaw_rate: Weight = 0.5
     tilt_rate: Weight = 2.0
-    arm: Weight = 0.0
     arm_rate: Weight = 0.2
 
 
@@ -54,16 +73,26 @@ class TorqueCost(Settings):
     arm: Weight = 0.005
 
 
-class RezeroCost(Settings):
+class TaskCost(Settings):
     """All weights. ``terminal`` [s]: the end of the horizon counts like so long of it. ``lean``: a hard limit of the lean's
-    divergent component, as a share of what the wheels can stop (:class:`wbmpc.bases.ball.balance.Balance`); 0: none.
-    ``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
+    divergent component, as a share of what the wheels can stop (:class:`wbmpc.bases.ball.balance.Balance`); 0: none."""
 
-    end_effector: EndEffectorCost = EndEffectorCost()
+    end_effector: ApproachCost = ApproachCost()
     body: BodyCost = BodyCost()
     torque: TorqueCost = TorqueCost()
     terminal: Weight = 1.0
     lean: float = Field(default=0.0, ge=0, le=1.0)
+
+
+class MpcCost(TaskCost):
+    """Of an end effector that may be sent to other orientations at once."""
+
+    end_effector: EndEffectorCost = EndEffectorCost()
+
+
+class RezeroCost(MpcCost):
+    """``speed_slack``: penalty of arm speeds beyond their limit, where that cannot be held [per range and second]."""
+
     speed_slack: Positive = 1e3
 
 
@@ -100,13 +129,13 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     inputs = {"wheel": t.wheel, "arm": 0.0, "force": 1.0, "moment": 1.0}
     ocp.add(Cost("torque", residuals.Input(robot), {g: inputs[g.split("_")[0]] for g in robot.input.groups}))
     ocp.add(Cost("effort", ball_residuals.JointEffort(robot), t.arm))
-    limit_arm(ocp, robot, settings, cost)
-    limit_torques(ocp, robot, settings, cost, None)
+    limit_arm(ocp, robot, settings, cost.speed_slack)
+    limit_torques(ocp, robot, settings, cost.lean, None)
     return ocp
 
 
-def limit_arm(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> None:
-    """Hard limits of the arm's angles and speeds."""
+def limit_arm(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, slack: float) -> None:
+    """Hard limits of the arm's angles and speeds; ``slack`` of the speeds, as of a :class:`RezeroCost`."""
     limits = robot.limits
     box = lambda g: sets.Box(limits.state_lower[robot.state[g]], limits.state_upper[robot.state[g]])
     free_state = residuals.State(robot, ["arm"], reference=None)
@@ -114,16 +143,14 @@ def limit_arm(ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettin
     barrier, hard = RelaxedBarrier(settings.barrier_mu, 0.02), settings.limits == "hard"
     ocp.add(Constraint("ranges", free_state, box("arm"), at="path+terminal", penalty=barrier, hard=hard))
     ocp.add(
-        Constraint(
-            "speeds", rates, box("arm_velocity"), at="path+terminal", penalty=barrier, hard=hard, slack=cost.speed_slack
-        )
+        Constraint("speeds", rates, box("arm_velocity"), at="path+terminal", penalty=barrier, hard=hard, slack=slack)
     )
 
 
 def limit_torques(
-    ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, cost: RezeroCost, groups: list[str] | None
+    ocp: OptimalControlProblem, robot: RobotModel, settings: MpcSettings, lean_share: float, groups: list[str] | None
 ) -> None:
-    """Hard limits of the torques (``groups`` of the input; all), of the spin of the ball and of the lean."""
+    """Hard limits of the torques (``groups`` of the input; all), of the spin of the ball and of the lean (as of a :class:`MpcCost`)."""
     barrier, hard, limits = RelaxedBarrier(settings.barrier_mu, 0.1), settings.limits == "hard", robot.limits
     free = residuals.Input(robot, groups, reference=None)
     box = sets.Box(limits.input_lower[free.indices], limits.input_upper[free.indices])
@@ -131,12 +158,12 @@ def limit_torques(
     spin = robot.description.limits.spin_effort
     if np.isfinite(spin):
         ocp.add(Constraint("spin", ball_residuals.BallSpin(robot), sets.Box(-spin, spin), penalty=barrier, hard=hard))
-    if cost.lean > 0.0:
+    if lean_share > 0.0:
         balance = Balance.of(robot, robot.home[robot.state["arm"]])
         answer = balance.answer if "force" in robot.input else 0.0
         pushed = groups is None  # a base whose arm others move has parameters of its own
         lean = ball_residuals.CapturePoint(robot, balance.pole, answer=answer, pushed=pushed)
-        reach = cost.lean * float(balance.reach.min())
+        reach = lean_share * float(balance.reach.min())
         ocp.add(Constraint("lean", lean, sets.Box(-reach, reach), at="path+terminal", penalty=barrier, hard=hard))
 
 

@@ -35,15 +35,22 @@ class SeriesElasticDrives(Choice):
 Drives = OneOf[RigidDrives | SeriesElasticDrives]
 
 
-class BallPerturbation(InertialUnit, WheelRadii):
+class StateNoise(Choice):
+    """Of an idealized sensor of the state. ``position_noise`` [m]: noise of the state sensor's positions; ``angle_noise`` [rad]: noise of
+    the state sensor's angles; ``speed_noise`` [m/s]: noise of the state sensor's speeds; ``rate_noise`` [rad/s]: noise of the state
+    sensor's angular rates."""
+
+    position_noise: float = Field(default=1e-3, ge=0, le=100)
+    angle_noise: float = Field(default=2e-3, ge=0, le=3.2)
+    speed_noise: float = Field(default=0.01, ge=0, le=100)
+    rate_noise: float = Field(default=0.02, ge=0, le=100)
+
+
+class BallHardware(InertialUnit, WheelRadii):
     """Torque drives: ``actuator_dead_time`` [s]: dead time of the drives, whole physics steps; ``drives``: rigid, or elastic
     (:class:`SeriesElasticDrives`). ``torsional_friction`` [m]: friction about the vertical of what rolls on the floor at one point, as
-    torque over weight; ``floor_cables`` [m]: height of a grid of cables on the floor.
-
-    An idealized state sensor has ``state_age`` [s]: age of the state sensor's message; ``position_noise`` [m]: noise of the state sensor's
-    positions; ``angle_noise`` [rad]: noise of the state sensor's angles; ``speed_noise`` [m/s]: noise of the state sensor's speeds;
-    ``rate_noise`` [rad/s]: noise of the state sensor's angular rates.
-    """
+    torque over weight; ``floor_cables`` [m]: height of a grid of cables on the floor; ``state_age`` [s]: age
+    of the messages."""
 
     LEFT: ClassVar[dict[str, float]] = {"torsional_friction": 0.01}
 
@@ -51,8 +58,8 @@ class BallPerturbation(InertialUnit, WheelRadii):
     drives: Drives = RigidDrives()
     torsional_friction: float = Field(default=0.01, ge=0, le=1)
     state_age: float = Field(default=0.005, ge=0, le=1.0)
-    position_noise: float = Field(default=1e-3, ge=0, le=100)
-    angle_noise: float = Field(default=2e-3, ge=0, le=3.2)
-    speed_noise: float = Field(default=0.01, ge=0, le=100)
-    rate_noise: float = Field(default=0.02, ge=0, le=100)
     floor_cables: float = Field(default=0.0, ge=0, le=0.02)
+
+
+class BallPerturbation(StateNoise, BallHardware):
+    """The robot with its sensors, and an idealized sensor of its state beside them."""

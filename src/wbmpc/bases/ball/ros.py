@@ -22,6 +22,7 @@ from wbmpc.bases.ball.posture import resting
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.ros_settings import BallRosSettings
 from wbmpc.bases.ball.sent_torques import DriveSettings
+from wbmpc.bases.ball.settings import PushedDisturbance
 from wbmpc.errors import FallPredicted
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
@@ -244,8 +245,8 @@ class BallRosAdapter(BaseAdapter):
         )
         home = robot.home[robot.state["arm"]]
         self._lean_control = (
-            LeanControl(robot, home, settings.cost.lean, settings.max_pushed_speed)
-            if settings.estimate_disturbance
+            LeanControl(robot, home, settings.cost.lean, settings.disturbance.max_pushed_speed)
+            if isinstance(settings.disturbance, PushedDisturbance)
             else None
         )
         self.controller = self._new_controller(robot.home)
@@ -259,7 +260,7 @@ class BallRosAdapter(BaseAdapter):
             self._torque,
             self.period,
             DriveSettings(s.actuator_time_constant),
-            s.estimate_disturbance,
+            isinstance(s.disturbance, PushedDisturbance),
             estimator,
         )
         controller.fix, controller.answer, controller.shoves = self.fix, self._answer, self._push

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import LEARNED, STEPS_AND_PUSHES, PushedSettings, mpc_settings
-from wbmpc.configuration import Rules
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, ExpectedPush, NoDisturbance, PushedDisturbance, mpc_settings
+from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.settings import RosSettings, WrenchLimits
 from wbmpc.settings import MpcSettings
@@ -17,15 +15,14 @@ from wbmpc.settings import MpcSettings
 WHEEL_SPEED = 50.0
 
 
-class BallRosSettings(PushedSettings, RosSettings):
-    """Torques, their own problem, for steps and pushes. ``estimate_disturbance``: whether constant disturbances are estimated."""
+class BallRosSettings(ExpectedPush, RosSettings):
+    """Torques, their own problem, for steps and pushes. ``disturbance``: whether constant ones are estimated (:class:`PushedDisturbance`), or
+    none."""
 
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     wrench: WrenchLimits | None = WrenchLimits()
-    estimate_disturbance: bool = True
-
-    only_with: ClassVar[Rules] = {"max_pushed_speed": LEARNED}
+    disturbance: OneOf[NoDisturbance | PushedDisturbance] = PushedDisturbance()
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """The arm's limits are limits of the state; the wheels' are guessed."""

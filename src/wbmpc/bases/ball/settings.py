@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from wbmpc.bases.ball.defaults import BodyCost, EndEffectorCost, RezeroCost, TorqueCost
@@ -20,8 +22,6 @@ STEPS_AND_PUSHES = RezeroCost(
 )
 #: How fast [m/s] the robot may be pushed along before it leans against the force.
 PUSHED_SPEED = 2.0
-#: Of settings that are of learned forces.
-LEARNED = {"estimate_disturbance": True}
 
 
 def mpc_settings(barrier_mu: float) -> MpcSettings:
@@ -31,10 +31,26 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
-class PushedSettings(Settings):
-    """Of an MPC that learns what pushes its robot. ``expected_push_time`` [s]: how much longer a detected push is expected to last, for
-    the MPC's limit of the lean (0: pushes are ignored); ``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that
-    lasts ends the run."""
+class NoDisturbance(Settings):
+    """No forces are learned."""
+
+    kind: Literal["none"] = "none"
+
+
+class EstimatedDisturbance(Settings):
+    """Constant forces on base and arm are learned."""
+
+    kind: Literal["estimated"] = "estimated"
+
+
+class PushedDisturbance(EstimatedDisturbance):
+    """``max_pushed_speed`` [m/s]: a ball that goes faster under a strong force that lasts ends the run."""
+
+    max_pushed_speed: float = Field(PUSHED_SPEED, ge=0.01, le=100)
+
+
+class ExpectedPush(Settings):
+    """``expected_push_time`` [s]: how much longer a detected push is expected to last, for the MPC's limit of the lean (0: pushes are
+    ignored)."""
 
     expected_push_time: float = Field(0.3, ge=0, le=1.0)
-    max_pushed_speed: float = Field(PUSHED_SPEED, ge=0.01, le=100)

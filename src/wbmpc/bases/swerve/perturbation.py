@@ -28,15 +28,19 @@ class StuckBrake(Choice):
 BrakeFaults = OneOf[SoundBrakes | StuckBrake]
 
 
-class SwervePerturbation(WheeledPerturbation):
+class SoundPerturbation(WheeledPerturbation):
     """``steer_offset`` [rad]: zero errors of the steering encoders (measured = true + offset); ``steer_noise`` [rad]: standard deviation
-    of the steering encoders per message; ``brake_delay`` [s]: time that a brake takes to open and to close; ``brake_fault``: none, or a
-    brake that stays open or closed (:class:`StuckBrake`)."""
+    of the steering encoders per message; ``brake_delay`` [s]: time that a brake takes to open and to close."""
 
     steer_offset: float = Field(default=0.003, ge=0, le=3.2)
     steer_noise: float = Field(default=0.0, ge=0, le=3.2)
     brake_delay: float = Field(default=0.10, ge=0, le=100)
-    brake_fault: BrakeFaults = SoundBrakes()
 
     def module_offsets(self) -> tuple[float, float]:
         return self.joint_offset, self.steer_offset
+
+
+class SwervePerturbation(SoundPerturbation):
+    """``brake_fault``: none, or a brake that stays open or closed (:class:`StuckBrake`)."""
+
+    brake_fault: BrakeFaults = SoundBrakes()

@@ -13,15 +13,14 @@ from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.studies.minniti2019.controller_parts import ActuatorTracking
 from wbmpc.studies.minniti2019.controller_settings import (
-    ActuatorTracking,
-    AnyController,
-    PlanSettings,
+    ControllerSettings,
     Regulator,
-    Separate,
     SeparateAware,
     SeparateSettings,
     TaskspaceSettings,
+    TrackedMpc,
 )
 from wbmpc.studies.minniti2019.held_arm import base_problem
 from wbmpc.studies.minniti2019.lqr import LqrController, LqrWeights, RegulatorGains
@@ -43,11 +42,13 @@ class Parts:
     arm: np.ndarray
 
 
-def make_controller(settings: RezeroSettings, chosen: AnyController, p: Parts) -> tuple[BallController, MPC | None]:
+def make_controller(
+    settings: RezeroSettings, chosen: ControllerSettings, p: Parts
+) -> tuple[BallController, MPC | None]:
     """The ``chosen`` controller, and the MPC that plans for it (None: nothing does)."""
-    if isinstance(chosen, PlanSettings):
+    if isinstance(chosen, TrackedMpc):
         own, lag = (p.robot, p.mpc, p.torque, p.period), settings.actuator_time_constant
-        more = (settings.estimate_disturbance, p.estimator, FallPredictor(p.robot, p.arm))
+        more = (chosen.learns, p.estimator, FallPredictor(p.robot, p.arm))
         if isinstance(chosen.tracking, ActuatorTracking):
             gains = ActuatorGains(**chosen.tracking.model_dump(exclude={"kind"}))
             return TrackingController(*own, DriveSettings(lag), *more, gains=gains), p.mpc
@@ -58,48 +59,43 @@ def make_controller(settings: RezeroSettings, chosen: AnyController, p: Parts) -
     return controller, planner
 
 
-def _baseline(
-    settings: RezeroSettings, chosen: Regulator | SeparateSettings | TaskspaceSettings, p: Parts
-) -> tuple[BallController, MPC | None]:
+def _baseline(settings: RezeroSettings, chosen: ControllerSettings, p: Parts) -> tuple[BallController, MPC | None]:
     if isinstance(chosen, TaskspaceSettings):
-        return _taskspace(settings, TaskGains(**chosen.model_dump(exclude={"kind"})), p), None
+        return _taskspace(settings, chosen, p), None
     if isinstance(chosen, SeparateSettings):
         return _separate(settings, chosen, p)
+    assert isinstance(chosen, Regulator)
     drives = DriveSettings(settings.actuator_time_constant, chosen.actuator_dead_time)
-    controller = LqrController(p.robot, p.mpc, p.torque, p.period, drives, settings.estimate_disturbance, p.estimator)
-    regulator = RegulatorGains(p.robot, regulator_weights(p.robot, settings, chosen), p.period)
+    controller = LqrController(p.robot, p.mpc, p.torque, p.period, drives, chosen.learns, p.estimator)
+    regulator = RegulatorGains(p.robot, regulator_weights(p.robot, chosen), p.period)
     scheduled = chosen.kind == "scheduled-lqr"
     controller.regulate(regulator, lambda t: p.mpc.reference["body"].at(t), scheduled, chosen.max_error)
     return controller, None
 
 
-def _taskspace(settings: RezeroSettings, gains: TaskGains, p: Parts) -> TaskSpaceController:
+def _taskspace(settings: RezeroSettings, chosen: TaskspaceSettings, p: Parts) -> TaskSpaceController:
     def goal(t: float) -> tuple[np.ndarray, np.ndarray]:
         pose = p.mpc.reference["end_effector"].at(t)
         return pose[:3], pose[3:]
 
     home = ball_base(p.robot).numeric.equilibrium(p.arm)[0]
-    more = (p.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance, p.estimator)
+    more = (p.period, DriveSettings(settings.actuator_time_constant), chosen.learns, p.estimator)
+    gains = TaskGains(**chosen.model_dump(exclude={"kind", "estimator", "disturbance"}))
     controller = TaskSpaceController(p.robot, p.mpc, goal, gains, home, p.torque, *more)
     controller.stance = lambda t: p.mpc.reference["body"].at(t)
     return controller
 
 
 def _separate(settings: RezeroSettings, gains: SeparateSettings, p: Parts) -> tuple[SeparateController, MPC]:
-    h, b = settings.cost.end_effector, settings.cost.body
-    weights = {"ball": gains.ball, "ball_speed": gains.ball_speed, "tilt_rate": gains.tilt_rate}
-    cost = settings.cost.model_copy(update={
-        "body": b.model_copy(update=weights),
-        "torque": settings.cost.torque.model_copy(update={"wheel": gains.wheel}),
-    })  # fmt: skip
-    planner = MPC(base_problem(p.robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
+    h, planning = gains.cost.end_effector, gains.planning(settings.mpc)
+    planner = MPC(base_problem(p.robot, planning, gains.weights), planning.solver(), planning.rate)
     planner.reference["body"] = p.mpc.reference["body"]
     inverse = EndEffectorInverse(
-        p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(b.arm, 0.1)
+        p.robot, np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll]), max(gains.cost.body.arm, 0.1)
     )
     controller = SeparateController(
         p.robot, p.mpc, p.torque, p.period, DriveSettings(settings.actuator_time_constant),
-        settings.estimate_disturbance and not isinstance(gains, Separate), p.estimator,
+        gains.learns, p.estimator,
         planner=planner, inverse=inverse, arm=ArmLoop(gains.pace, gains.integral),
         aware=isinstance(gains, SeparateAware),
     )  # fmt: skip
@@ -108,9 +104,9 @@ def _separate(settings: RezeroSettings, gains: SeparateSettings, p: Parts) -> tu
     return controller, planner
 
 
-def regulator_weights(robot: RobotModel, settings: RezeroSettings, r: Regulator) -> LqrWeights:
+def regulator_weights(robot: RobotModel, r: Regulator) -> LqrWeights:
     """The MPC's weights, times the baseline's factors, for a regulator."""
-    h, b, t = settings.cost.end_effector, settings.cost.body, settings.cost.torque
+    h, b, t = r.cost.end_effector, r.cost.body, r.cost.torque
     fast, tilt = r.damping * b.ball_speed, r.damping * b.tilt_rate
     arm, joints = r.posture * np.array([b.arm, b.arm_rate]), ball_base(robot).nq - 5
     state = robot.state.vector({

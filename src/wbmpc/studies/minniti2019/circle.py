@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
-
 import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.ocp import Reference
@@ -27,15 +24,12 @@ IDEALIZATIONS = ["the end effector's orientation is free but for a small weight:
 
 class RezeroCircleSettings(AccurateSettings):
     """``radius`` [m]: radius of the circle; ``lap_time`` [s]: duration of a round; ``rounds``: number of rounds, the first of which
-    starts from rest; ``settle_time`` [s]: at rest before it; ``yaw``: whether the heading of the base is held, or free."""
+    starts from rest; ``settle_time`` [s]: at rest before it. With ``controller.cost.body.yaw=0`` the heading of the base is free."""
 
     radius: float = Field(0.15, gt=0, le=1.0)
     lap_time: float = Field(6.0, ge=1.0, le=60.0)
     rounds: int = Field(3, ge=1, le=50)
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
-    yaw: Literal["held", "free"] = "held"
-
-    only_with: ClassVar[Rules] = {"cost.body.yaw": {"yaw": "held"}}
 
 
 def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
@@ -52,14 +46,11 @@ def ball_path(settings: RezeroCircleSettings, times: np.ndarray) -> np.ndarray:
 
 def build(settings: RezeroCircleSettings, seed: int) -> Scenario:
     """One run."""
-    if settings.yaw == "free":
-        free = settings.cost.body.model_copy(update={"yaw": 0.0})
-        settings = settings.model_copy(update={"cost": settings.cost.model_copy(update={"body": free})})
     robot = ball_robot(settings)
     arm = bent_arm(settings, robot)
     home = ball_base(robot).numeric.equilibrium(arm)[0]
     duration = settings.settle_time + settings.rounds * settings.lap_time + 3.0
-    grid = np.arange(0.0, duration + settings.mpc.horizon, 0.01)
+    grid = np.arange(0.0, duration + settings.controller.ahead, 0.01)
     body = np.tile(home, (grid.size, 1))
     body[:, :2] = ball_path(settings, grid)
     velocity = robot.state["base_velocity"].start

@@ -6,73 +6,118 @@ search on the square with an unknown load.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Literal
 
-from pydantic import Field
-
-from wbmpc.bases.ball.settings import PushedSettings
+from wbmpc.bases.ball.defaults import BodyCost, MpcCost, RezeroCost, TorqueCost
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, EstimatedDisturbance, NoDisturbance
 from wbmpc.configuration import OneOf
-from wbmpc.settings import Positive, Settings, Weight
-from wbmpc.studies.minniti2019.taskspace_control import TaskGains
-from wbmpc.studies.minniti2019.tracking_control import ActuatorGains
-
-#: Kinds of controllers that plan.
-PLANNERS = ("mpc", "separate", "separate-integral", "separate-aware")
-#: What a plan alone has, beside its horizon. (Its rate and delay are those of the loop, whatever controller is in it.)
-_PLAN = tuple(
-    f"mpc.{n}" for n in ("intervals", "first_interval", "iterations", "limits", "barrier_mu", "rollout_restart")
+from wbmpc.settings import MpcSettings, MpcTiming, PlanSettings, Positive, Settings, UniformPlan, Weight
+from wbmpc.studies.minniti2019.controller_parts import (
+    ACCURATE,
+    BALL_HELD,
+    DEAD_TIME,
+    MPC,
+    DeadTime,
+    HardArmLimits,
+    HardLimits,
+    MpcDisturbance,
+    NoisyTruth,
+    NoPushFilter,
+    PayloadDisturbance,
+    PolicyTracking,
+    PushFilter,
+    RegulatorCost,
+    SensorFilter,
+    SeparateCost,
+    SoftLimits,
+    Tracking,
+    part,
 )
-#: Dead time [s] of the drives that a controller assumes, in the middle of what may be.
-DeadTime = Annotated[float, Field(ge=0, le=0.05)]
-DEAD_TIME = 0.010
+from wbmpc.studies.minniti2019.taskspace_control import TaskGains
 
 
-class PolicyTracking(Settings):
-    """Between two plans the Riccati feedback acts at the controller's rate. ``actuator_dead_time`` [s]: of the drives, that it assumes."""
+class ControllerSettings(Settings):
+    """What every controller has. ``estimator``: the state from the sensors (filter), or from the simulator with noise (truth)."""
 
-    kind: Literal["policy"] = "policy"
-    actuator_dead_time: DeadTime = DEAD_TIME
+    estimator: OneOf[SensorFilter | NoisyTruth] = SensorFilter()
 
+    @property
+    def learns(self) -> bool:
+        """Whether it learns constant forces."""
+        return isinstance(getattr(self, "disturbance", None), EstimatedDisturbance)
 
-class ActuatorTracking(Settings):
-    """Between two plans the paper's feed-forward and PD act in the drives, with the gains of
-    :class:`wbmpc.studies.minniti2019.tracking_control.ActuatorGains`. ``wheel_stiffness`` [N m/rad]: K_p of the wheels; ``wheel_damping``
-    [N m s/rad]: K_d of the wheels; ``arm_stiffness`` [N m/rad]: K_p of the arm's joints; ``arm_damping`` [N m s/rad]: K_d of the arm's joints;
-    ``leak_time_constant`` [s]: in which integrated speeds decay."""
-
-    kind: Literal["actuators"] = "actuators"
-    wheel_stiffness: Weight = ActuatorGains.wheel_stiffness
-    wheel_damping: Weight = ActuatorGains.wheel_damping
-    arm_stiffness: Weight = ActuatorGains.arm_stiffness
-    arm_damping: Weight = ActuatorGains.arm_damping
-    leak_time_constant: Positive = ActuatorGains.leak_time_constant
+    @property
+    def ahead(self) -> float:
+        """How far ahead it reads its references [s]."""
+        return 0.0
 
 
-#: What happens between two plans.
-Tracking = OneOf[PolicyTracking | ActuatorTracking]
+class LearningController(ControllerSettings):
+    """``disturbance``: whether constant ones are estimated, or none."""
+
+    disturbance: OneOf[NoDisturbance | EstimatedDisturbance] = EstimatedDisturbance()
 
 
-class PlanSettings(Settings):
-    """``estimate_payload``: whether a load at the end effector is one of the disturbances that are estimated, of which the MPC knows;
-    ``tracking`` of the MPC's plans."""
+class Planner(LearningController):
+    """An MPC of the whole robot. ``plan``: its grid and its solver; ``limits``: treatment of limits, hard (:class:`HardArmLimits`) or soft."""
 
-    estimate_payload: bool = True
+    plan: PlanSettings = part(PlanSettings, MPC)
+    limits: OneOf[HardArmLimits | SoftLimits] = HardArmLimits()
+
+    @property
+    def payload(self) -> bool:
+        """Whether it models a mass at the end effector."""
+        return isinstance(self.disturbance, PayloadDisturbance) and self.disturbance.estimate_payload
+
+    @property
+    def ahead(self) -> float:
+        """How far ahead it reads its references [s]."""
+        return self.plan.horizon
+
+    @property
+    def speed_slack(self) -> float:
+        """Of the limit of the arm's speeds; soft limits have none."""
+        return self.limits.speed_slack if isinstance(self.limits, HardArmLimits) else HardArmLimits().speed_slack
+
+    def planning(self, timing: MpcTiming) -> MpcSettings:
+        """The settings of its MPC in a loop with this ``timing``."""
+        return MpcSettings(**dict(timing), **dict(self.plan), limits=self.limits.kind)
+
+
+class PlanningController(Planner):
+    """With the weights of the product's problem, ``cost``."""
+
+    cost: MpcCost = part(MpcCost, STEPS_AND_PUSHES)
+
+    @property
+    def weights(self) -> RezeroCost:
+        """The weights of its problem."""
+        return RezeroCost(**dict(self.cost), speed_slack=self.speed_slack)
+
+
+class TrackedMpc(PlanningController):
+    """``tracking`` of the MPC's plans."""
+
+    disturbance: OneOf[NoDisturbance | PayloadDisturbance] = PayloadDisturbance()
     tracking: Tracking = PolicyTracking()
 
 
-class WholeBodyMpc(PlanSettings, PushedSettings):
+class WholeBodyMpc(TrackedMpc):
     """The MPC of the whole robot."""
 
     kind: Literal["mpc"] = "mpc"
+    estimator: OneOf[PushFilter | NoisyTruth] = PushFilter()
+    disturbance: OneOf[NoDisturbance | MpcDisturbance] = MpcDisturbance()
 
 
-class Regulator(Settings):
+class Regulator(LearningController):
     """One LQR, or one for each posture (scheduled): they track the body's states and know of no end effector but in its weights. Factors of
     the MPC's weights. ``torque``: weight of all torques; ``arm``: another one of the arm's; ``damping``: weight of the ball's speed and of
     the tilt rate; ``posture``: weight of the arm's angles and rates; ``end_effector``: weight of the end effector's pose;
     ``max_error`` [m]: position errors beyond it are cut; ``actuator_dead_time`` [s]: of the drives, that it assumes."""
 
     kind: Literal["lqr", "scheduled-lqr"] = "lqr"
+    cost: RegulatorCost = part(RegulatorCost, STEPS_AND_PUSHES)
     torque: Positive = 1.0
     arm: Positive = 1.0
     posture: Positive = 1.0
@@ -81,17 +126,15 @@ class Regulator(Settings):
     max_error: Positive = 0.1
     actuator_dead_time: DeadTime = DEAD_TIME
 
-    ignores: ClassVar[tuple[str, ...]] = (
-        *_PLAN,
-        *(f"cost.{n}" for n in ("end_effector.limit", "end_effector.turn_limit", "terminal", "lean", "speed_slack")),
-    )
 
+class SeparateSettings(ControllerSettings):
+    """The base's MPC and the arm's joint loop. ``plan``: grid and solver of the MPC; ``limits``: treatment of its limits; ``ball``: weight
+    of the ball's position; ``ball_speed``: weight of its speed; ``tilt_rate``: weight of the tilt rate; ``wheel``: weight of the wheel
+    torques; ``pace`` [rad/s]: bandwidth of the arm's joint loop; ``integral`` [1/s]: rate of its integral part."""
 
-class SeparateSettings(Settings):
-    """The base's MPC and the arm's joint loop. ``ball``: weight of the ball's position; ``ball_speed``: weight of its speed; ``tilt_rate``: weight
-    of the tilt rate; ``wheel``: weight of the wheel torques; ``pace`` [rad/s]: bandwidth of the arm's joint loop; ``integral`` [1/s]: rate of
-    its integral part."""
-
+    plan: UniformPlan = part(UniformPlan, MPC)
+    limits: OneOf[HardLimits | SoftLimits] = HardLimits()
+    cost: SeparateCost = part(SeparateCost, STEPS_AND_PUSHES)
     ball: Weight = 30.0
     ball_speed: Weight = 3.0
     tilt_rate: Weight = 3.0
@@ -99,11 +142,23 @@ class SeparateSettings(Settings):
     pace: Positive = 10.0
     integral: Weight = 1.0
 
-    ignores: ClassVar[tuple[str, ...]] = (
-        "mpc.first_interval", "cost.torque", "cost.terminal", "cost.speed_slack",
-        *(f"cost.end_effector.{n}" for n in ("limit", "turn_limit", "twist", "angular")),
-        *(f"cost.body.{n}" for n in ("ball", "ball_speed", "tilt_rate", "arm_rate")),
-    )  # fmt: skip
+    @property
+    def ahead(self) -> float:
+        """How far ahead it reads its references [s]."""
+        return self.plan.horizon
+
+    @property
+    def weights(self) -> MpcCost:
+        """The weights of the base's problem."""
+        gains = {n: getattr(self, n) for n in ("ball", "ball_speed", "tilt_rate")}
+        return MpcCost(
+            body=BodyCost(**dict(self.cost.body), **gains), torque=TorqueCost(wheel=self.wheel),
+            terminal=self.cost.terminal, lean=self.cost.lean,
+        )  # fmt: skip
+
+    def planning(self, timing: MpcTiming) -> MpcSettings:
+        """The settings of its MPC in a loop with this ``timing``."""
+        return MpcSettings(**dict(timing), **dict(self.plan), limits=self.limits.kind)
 
 
 class Separate(SeparateSettings):
@@ -117,16 +172,14 @@ class Separate(SeparateSettings):
     pace: Positive = 22.1
     integral: Weight = 0.116
 
-    ignores = (*SeparateSettings.ignores, "estimate_disturbance")
 
-
-class SeparateIntegral(SeparateSettings):
+class SeparateIntegral(SeparateSettings, LearningController):
     """A base that learns constant forces."""
 
     kind: Literal["separate-integral"] = "separate-integral"
 
 
-class SeparateAware(SeparateSettings):
+class SeparateAware(SeparateSettings, LearningController):
     """A base that learns constant forces and knows how its arm is going to move."""
 
     kind: Literal["separate-aware"] = "separate-aware"
@@ -138,11 +191,11 @@ class SeparateAware(SeparateSettings):
     integral: Weight = 2.57
 
 
-class TaskspaceSettings(Settings):
-    """Gains of the task-space controller. ``end_effector`` [rad/s]: natural frequency of the end effector's position; ``turn`` [rad/s]: natural
-    frequency of its orientation; ``ball``: weight of the ball's position in the balance's LQR; ``ball_speed``: weight of its speed there; ``yaw``:
-    weight of the yaw there; ``tilt``: weight of the tilt there; ``wheel_torque``: weight of the wheel torques there; ``balance``: weight of
-    the squared accelerations of ball and base against those of the end effector."""
+class TaskspaceSettings(LearningController):
+    """Gains of the task-space controller. ``end_effector`` [rad/s]: natural frequency of the end effector's position; ``turn`` [rad/s]:
+    natural frequency of its orientation; ``ball``: weight of the ball's position in the balance's LQR; ``ball_speed``: weight of its speed
+    there; ``yaw``: weight of the yaw there; ``tilt``: weight of the tilt there; ``wheel_torque``: weight of the wheel torques there;
+    ``balance``: weight of the squared accelerations of ball and base against those of the end effector."""
 
     end_effector: Positive = 5.02
     turn: Positive = 2.5
@@ -159,31 +212,66 @@ class Taskspace(TaskspaceSettings):
 
     kind: Literal["taskspace"] = "taskspace"
 
-    ignores: ClassVar[tuple[str, ...]] = (*_PLAN, "cost")
 
-
-#: Settings of one controller, whether they name their kind or belong to an experiment that has no choice.
-AnyController = PlanSettings | Regulator | SeparateSettings | TaskspaceSettings
 #: Which controller moves the ball robot.
 Controller = OneOf[WholeBodyMpc | Regulator | Separate | SeparateIntegral | SeparateAware | Taskspace]
+
+
+class HeldMpc(WholeBodyMpc):
+    """Of a ball that is held."""
+
+    cost: MpcCost = part(MpcCost, BALL_HELD)
+
+
+class HeldRegulator(Regulator):
+    """Of a ball that is held."""
+
+    cost: RegulatorCost = part(RegulatorCost, BALL_HELD)
+
+
+class _Held(Settings):
+    cost: SeparateCost = part(SeparateCost, BALL_HELD)
+
+
+class HeldSeparate(_Held, Separate):
+    """Of a ball that is held."""
+
+
+class HeldSeparateIntegral(_Held, SeparateIntegral):
+    """Of a ball that is held."""
+
+
+class HeldSeparateAware(_Held, SeparateAware):
+    """Of a ball that is held."""
+
+
+#: The same with the weights of a ball that is held.
+HeldController = OneOf[HeldMpc | HeldRegulator | HeldSeparate | HeldSeparateIntegral | HeldSeparateAware | Taskspace]
 
 
 class AccurateMpc(WholeBodyMpc):
     """Pushes are ignored."""
 
-    expected_push_time: float = Field(0.0, ge=0, le=1.0)
+    estimator: OneOf[NoPushFilter | NoisyTruth] = NoPushFilter()
+    limits: OneOf[HardArmLimits | SoftLimits] = HardArmLimits(speed_slack=ACCURATE.speed_slack)
+    cost: MpcCost = part(MpcCost, ACCURATE)
 
 
 class AccurateRegulator(Regulator):
     """Not searched: the best of four sets that were tried on the circle. With the factors of 1 the stiff weights make a regulator swing
     through the drives' lag until it falls (circle, tuning seed 0)."""
 
+    cost: RegulatorCost = part(RegulatorCost, ACCURATE)
     torque: Positive = 30.0
     damping: Positive = 10.0
     posture: Positive = 10.0
 
 
-class _Stiff(SeparateSettings):
+class _Accurate(Settings):
+    cost: SeparateCost = part(SeparateCost, ACCURATE)
+
+
+class _Stiff(_Accurate, SeparateSettings):
     ball: Weight = 53.7
     ball_speed: Weight = 0.782
     tilt_rate: Weight = 0.569
@@ -196,7 +284,7 @@ class AccurateSeparate(_Stiff, Separate):
     """Of accurate tasks."""
 
 
-class AccurateSeparateIntegral(SeparateIntegral):
+class AccurateSeparateIntegral(_Accurate, SeparateIntegral):
     """Of accurate tasks."""
 
     ball: Weight = 63.9

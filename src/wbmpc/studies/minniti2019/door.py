@@ -30,7 +30,7 @@ def build(settings: RezeroDoorSettings, seed: int) -> Scenario:
     trials: list[Trial] = []
 
     def push(force: float, progress: Progress | None) -> Outcome:
-        trials.append(push_door(settings, force, seed, progress))
+        trials.append(push_door(settings, force, settings.speed, seed, progress))
         log.extend(trials[-1].log, f"_{names[len(trials) - 1]}")
         return Outcome(trials[-1].ending, trials[-1].faults, None, trials[-1].mpc)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from wbmpc.bases.ball.defaults import RezeroCost, limit_arm, limit_torques
+from wbmpc.bases.ball.defaults import TaskCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
-from wbmpc.configuration import OneOf, Rules
+from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
 from wbmpc.settings import MpcSettings, Positive, Settings, Weight
@@ -46,15 +46,6 @@ class FreeWrench(Settings):
     """The paper's problem: a free wrench at the end effector, and no door."""
 
     kind: Literal["wrench"] = "wrench"
-
-
-class DoorEquation(Settings):
-    """The door's states and equation of motion are in the problem. ``baumgarte`` [1/s]: rate at which planned gaps close; ``max_rate`` [rad/s]:
-    largest rate of the door in plans."""
-
-    kind: Literal["door"] = "door"
-    baumgarte: Positive = 10.0
-    max_rate: Positive = 1.0
 
 
 class NoCone(Settings):
@@ -105,17 +96,28 @@ class LimitedApproach(Settings):
         return np.maximum((self.touch_speed + self.growth * gap) * np.exp(-self.growth * after), self.touch_speed)
 
 
+class DoorEquation(Settings):
+    """The door's states and equation of motion are in the problem. ``baumgarte`` [1/s]: rate at which planned gaps close; ``max_rate`` [rad/s]:
+    largest rate of the door in plans; ``approach``: a :class:`FreeApproach` or a :class:`LimitedApproach`."""
+
+    kind: Literal["door"] = "door"
+    baumgarte: Positive = 10.0
+    max_rate: Positive = 1.0
+    approach: OneOf[FreeApproach | LimitedApproach] = FreeApproach()
+
+
 class DoorScheme(Settings):
     """``contact``: what the problem knows of it, a :class:`FreeWrench` or the :class:`DoorEquation`; ``identify``: the door's impedance is
-    estimated as it moves; ``cone``: none, a :class:`PushCone` or an :class:`EstimatedCone`;
-    ``approach``: a :class:`FreeApproach` or a :class:`LimitedApproach`."""
+    estimated as it moves; ``cone``: none, a :class:`PushCone` or an :class:`EstimatedCone`."""
 
     contact: OneOf[FreeWrench | DoorEquation] = DoorEquation()
     identify: bool = True
     cone: OneOf[NoCone | PushCone | EstimatedCone] = PushCone()
-    approach: OneOf[FreeApproach | LimitedApproach] = FreeApproach()
 
-    only_with: ClassVar[Rules] = {"approach": {"contact.kind": "door"}}
+    @property
+    def approach(self) -> FreeApproach | LimitedApproach:
+        """How the end effector comes to the panel."""
+        return self.contact.approach if isinstance(self.contact, DoorEquation) else FreeApproach()
 
     @property
     def friction(self) -> float:
@@ -142,7 +144,13 @@ def default_push_cost(scheme: DoorScheme) -> PushCost:
 
 
 def door_problem(
-    robot: RobotModel, settings: MpcSettings, cost: RezeroCost, push: PushCost, scheme: DoorScheme, opening: float
+    robot: RobotModel,
+    settings: MpcSettings,
+    cost: TaskCost,
+    slack: float,
+    push: PushCost,
+    scheme: DoorScheme,
+    opening: float,
 ) -> OptimalControlProblem:
     """Costs of Minniti et al. 2019, sections III-A and IV-D, by modes; ``scheme`` adds what they leave out."""
     first = settings.first_interval or None
@@ -168,8 +176,8 @@ def door_problem(
         free = sets.NonNegative()
         ocp.add(Constraint("panel", apart, free, at="path+terminal", penalty=barrier, hard=hard, slack=PANEL_SLACK))
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], reference=None), modes=("free",)))
-    limit_arm(ocp, robot, settings, cost)
-    limit_torques(ocp, robot, settings, cost, ["wheel", "arm"])
+    limit_arm(ocp, robot, settings, slack)
+    limit_torques(ocp, robot, settings, cost.lean, ["wheel", "arm"])
     if not isinstance(cone, NoCone):
         within = residuals.FrictionCone(robot, cone.min_push)
         penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
@@ -181,7 +189,7 @@ def door_problem(
     return ocp
 
 
-def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: RezeroCost, push: PushCost) -> None:
+def _costs(ocp: OptimalControlProblem, robot: RobotModel, cost: TaskCost, push: PushCost) -> None:
     h, b, end = cost.end_effector, cost.body, cost.terminal
     pose = np.array([h.weight] * 3 + [h.orientation, h.orientation, h.roll])
     turn = np.array([0.0] * 3 + [push.orientation, push.orientation, min(push.orientation, h.roll)])

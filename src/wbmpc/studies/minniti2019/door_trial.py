@@ -41,7 +41,7 @@ NOMINAL = (2.56, 12.0, 3.5)
 def make_plant(settings: DoorSettings, robot: RobotModel, home: np.ndarray, torque: np.ndarray, seed: int) -> DoorPlant:
     """The robot before a door of the chosen kind, drawn (:func:`drawn_door`)."""
     door = drawn_door(settings, believed(robot.pose(home)[0]).hinge, seed)
-    return DoorPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
+    return DoorPlant(robot.description, door, home, torque, settings.perturbation, seed=seed, payload=settings.payload)
 
 
 def drawn_door(settings: DoorSettings, hinge: tuple[float, float], seed: int) -> Door:
@@ -70,10 +70,10 @@ def held(settings: DoorSettings, robot: RobotModel) -> float:
 
     A door that gives way takes the force from a robot that leans for it: what the lean then needs to be stopped is left over by
     ``lean_share``. (Rezero: 35 N. Pushed with 30 N it ran after doors and fell, tuning seeds 1 and 6.)"""
-    if settings.cost.lean == 0.0:
+    if settings.controller.cost.lean == 0.0:
         return np.inf
     balance = Balance.of(robot, robot.home[robot.state["arm"]])
-    return settings.cost.lean * float(balance.reach.min()) / balance.answer
+    return settings.controller.cost.lean * float(balance.reach.min()) / balance.answer
 
 
 def bounded(settings: DoorSettings, robot: RobotModel, force: float) -> tuple[float, str]:
@@ -93,22 +93,24 @@ PlantOf = Callable[[DoorSettings, RobotModel, np.ndarray, np.ndarray, int], Door
 
 
 def push_door(
-    settings: DoorSettings, force: float, seed: int, progress: Progress | None = None, made: PlantOf = make_plant
-) -> Trial:
-    """One run with the reference ``force`` [N], before a door that is ``made``."""
-    robot = ball_robot(settings, settings.estimate_payload and settings.estimate_disturbance, contact="force")
+    settings: DoorSettings, force: float, speed: float, seed: int, progress: Progress | None = None,
+    made: PlantOf = make_plant,
+) -> Trial:  # fmt: skip
+    """One run with the reference ``force`` [N], before a door that is ``made``; ``speed`` [m/s] of the approach at its start."""
+    chosen = settings.controller
+    robot, planning = ball_robot(settings, chosen.payload, contact="force"), chosen.planning(settings.mpc)
     home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     geometry = believed(robot.pose(home)[0]).moved(-settings.scheme.nearer)
     push = settings.push or default_push_cost(settings.scheme)
     mpc = MPC(
-        door_problem(robot, settings.mpc, settings.cost, push, settings.scheme, geometry.opening),
-        settings.mpc.solver(), settings.mpc.rate,
+        door_problem(robot, planning, chosen.cost, chosen.speed_slack, push, settings.scheme, geometry.opening),
+        planning.solver(), planning.rate,
         plan_only_limits=True,  # the friction cone, whose axes are the door's
     )  # fmt: skip
     plant = made(settings, robot, home, torque, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     possible, fault = bounded(settings, robot, force)
-    controller = make_controller(settings, possible, robot, mpc, home, torque, timing.period, geometry)
+    controller = make_controller(settings, possible, speed, robot, mpc, home, torque, timing.period, geometry)
     log = Log()
     rows = RezeroRecord(log, plant, controller)
 
@@ -122,15 +124,15 @@ def push_door(
 
 
 def make_controller(
-    settings: DoorSettings, force: float, robot: RobotModel, mpc: MPC, home: np.ndarray, torque: np.ndarray, period: float,
-    geometry: DoorGeometry,
+    settings: DoorSettings, force: float, speed: float, robot: RobotModel, mpc: MPC, home: np.ndarray, torque: np.ndarray,
+    period: float, geometry: DoorGeometry,
 ) -> DoorController:  # fmt: skip
     """The controller at home, with its references and what it is to do."""
     end_effector, quaternion = robot.pose(home)
     approach = settings.scheme.approach
     target = lambda t: force * float(np.clip(t / max(settings.rise_time, 1e-9), 0.0, 1.0))
     push = Push(
-        target, end_effector, quaternion, settings.settle_time, settings.speed, settings.opening_angle, settings.settle_time + settings.timeout,
+        target, end_effector, quaternion, settings.settle_time, speed, settings.opening_angle, settings.settle_time + settings.timeout,
         back=0.15, reach=GAP + 0.05, tip_weight=TIP_MASS * GRAVITY,
         fastest=None if isinstance(approach, FreeApproach) else approach.fastest, lead=settings.scheme.lead,
         friction=settings.scheme.friction, learns=isinstance(settings.scheme.cone, EstimatedCone),
@@ -148,8 +150,8 @@ def make_controller(
         mpc.reference[pose] = Reference.poses([0.0], end_effector, quaternion)
     controller = DoorController(
         robot, mpc, push, geometry, np.array(NOMINAL), settings.scheme.identify, torque, period,
-        DriveSettings(settings.actuator_time_constant, settings.actuator_dead_time), settings.estimate_disturbance,
-        estimator_of(settings, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
+        DriveSettings(settings.actuator_time_constant, settings.controller.actuator_dead_time), settings.controller.learns,
+        estimator_of(settings.controller, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
     )  # fmt: skip
     mpc.solver.set_parameters(controller.parameters())
     start = np.concatenate([home, controller.door]) if controller.with_door else home

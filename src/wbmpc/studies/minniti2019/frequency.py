@@ -23,7 +23,7 @@ from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
-from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
+from wbmpc.studies.minniti2019.frequency_settings import NotRun, RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS, RezeroRecord, ball_robot, estimator_of
 
@@ -39,15 +39,16 @@ HERE = [
 
 def frequency_mpc(settings: RezeroFrequencySettings, shaped: bool) -> MPC:
     """The MPC of the ball robot, with or without filters on its torques."""
-    f, cost, robot = settings.filters, settings.cost, ball_robot(settings)
-    if not shaped:
-        return MPC(rezero_problem(robot, settings.mpc, cost), settings.mpc.solver(), settings.mpc.rate)
+    f, cost, robot = settings.shaped, settings.controller.weights, ball_robot(settings)
+    planning = settings.controller.planning(settings.mpc)
+    if not shaped or isinstance(f, NotRun):
+        return MPC(rezero_problem(robot, planning, cost), planning.solver(), planning.rate)
     torque = cost.torque.model_copy(
         update={"wheel": f.wheel_weight * cost.torque.wheel, "arm": f.arm_weight * cost.torque.arm}
     )
-    plain = rezero_problem(robot, settings.mpc, cost.model_copy(update={"torque": torque}))
+    plain = rezero_problem(robot, planning, cost.model_copy(update={"torque": torque}))
     filters = {"wheel": InputFilter(f.wheel_zero, f.wheel_pole), "arm": InputFilter(f.arm_zero, f.arm_pole)}
-    return MPC(frequency_aware(plain, filters), settings.mpc.solver(), settings.mpc.rate)
+    return MPC(frequency_aware(plain, filters), planning.solver(), planning.rate)
 
 
 def drive(
@@ -64,11 +65,11 @@ def drive(
     mpc.reference["end_effector"] = Reference.poses(times, places, quaternion, hold=True)
     rest = [home, resting(robot, places[1], quaternion), home]
     mpc.reference["body"] = Reference(times, np.array(rest), "hold")
-    plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
+    plant = BallPlant(robot.description, home, torque, settings.perturbation, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     own = (
-        timing.period, DriveSettings(settings.actuator_time_constant), settings.estimate_disturbance,
-        estimator_of(settings, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
+        timing.period, DriveSettings(settings.actuator_time_constant), settings.controller.learns,
+        estimator_of(settings.controller, robot, home), FallPredictor(robot, robot.home[robot.state["arm"]]),
     )  # fmt: skip
     controller: BallController
     if name == "shaped":

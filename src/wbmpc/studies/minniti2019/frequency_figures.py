@@ -21,7 +21,7 @@ def metrics(settings: RezeroFrequencySettings, log: Log, endings: dict[str, Endi
     """Rms torque errors of wheels and arm, rise times, steady errors, by variant; ratios of those that got to the end: the part
     before says nothing to compare with."""
     out: dict[str, Metric] = {}
-    lead = settings.mpc.horizon if settings.preview else 0.0
+    lead = settings.controller.ahead if settings.preview else 0.0
     for name in (n for n in endings if f"hand_{n}" in log.channels):
         error = torque_error(log, name)
         wheels = count_wheels(log.array(f"state_{name}"), error)

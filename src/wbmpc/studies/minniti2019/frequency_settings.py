@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from wbmpc.bases.ball.perturbation import BallPerturbation, SeriesElasticDrives
-from wbmpc.configuration import Rules
+from wbmpc.bases.ball.perturbation import BallHardware, SeriesElasticDrives
+from wbmpc.configuration import OneOf
 from wbmpc.settings import Positive, Settings, Weight
+from wbmpc.studies.minniti2019.controller_settings import PlanningController
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
 VARIANTS = ("plain", "shaped")
 #: Shorter steps [m] cannot be distinguished from the noise.
 MIN_STEP = 0.01
 #: Springs that resonate at 15 Hz with the freely rolling ball, and at 18 to 31 Hz with the arm; they take the place of the lag.
-ELASTIC = BallPerturbation(drives=SeriesElasticDrives(), actuator_time_constant=0.0)
+ELASTIC = BallHardware(drives=SeriesElasticDrives(), actuator_time_constant=0.0)
 
 
 _Step = Annotated[float, Field(ge=-1, le=1)]
+
+
+class NotRun(Settings):
+    """The variant is left out."""
+
+    kind: Literal["none"] = "none"
 
 
 class FilterSettings(Settings):
@@ -27,6 +34,7 @@ class FilterSettings(Settings):
     pole; ``arm_zero`` [rad/s]: zero of the filter of the arm's torques; ``arm_pole`` [rad/s]: its pole; ``wheel_weight``: factor of the
     weight of the wheels' torques with the filter, so that the end effector rises as fast as without; ``arm_weight``: that of the arm's torques."""
 
+    kind: Literal["filters"] = "filters"
     wheel_zero: Positive = 20.0
     wheel_pole: Positive = 160.0
     arm_zero: Positive = 20.0
@@ -37,18 +45,25 @@ class FilterSettings(Settings):
 
 class RezeroFrequencySettings(RezeroSettings):
     """``step`` [m]: of the end effector (3), and back; ``settle_time`` [s]: before it; ``hold_time`` [s]: time for which each step is
-    held; ``filters`` of the shaped variant; ``preview``: whether the MPC sees the step before it comes; ``variants`` that are run."""
+    held; ``preview``: whether the MPC sees the step before it comes; ``plain``: whether the variant without filters is run; ``shaped``:
+    the variant with filters (:class:`FilterSettings`), or none."""
 
-    plant: BallPerturbation = ELASTIC
+    plant: BallHardware = ELASTIC
+    controller: PlanningController = PlanningController()
     actuator_time_constant: float = Field(0.006, ge=0, le=0.5)
-    filters: FilterSettings = FilterSettings()
     step: tuple[_Step, _Step, _Step] = (0.2, 0.0, 0.0)
     settle_time: float = Field(3.0, ge=0.5, le=60.0)
     hold_time: float = Field(5.0, ge=1.0, le=60.0)
     preview: bool = True
-    variants: tuple[str, ...] = VARIANTS
+    plain: bool = True
+    shaped: OneOf[NotRun | FilterSettings] = FilterSettings()
 
-    only_with: ClassVar[Rules] = {"filters": {"variants": "shaped"}}
+    @property
+    def variants(self) -> list[str]:
+        """Those that are run."""
+        return [
+            n for n, run in zip(VARIANTS, (self.plain, isinstance(self.shaped, FilterSettings)), strict=True) if run
+        ]
 
     @field_validator("step")
     @classmethod
@@ -60,16 +75,15 @@ class RezeroFrequencySettings(RezeroSettings):
 
     @model_validator(mode="after")
     def _rest_before(self) -> Self:
-        if self.preview and self.settle_time < self.mpc.horizon:
+        if self.preview and self.settle_time < self.controller.ahead:
             raise ValueError(
-                f"settle_time: {self.settle_time:g} s before a step that is seen {self.mpc.horizon:g} s ahead (mpc.horizon): at least "
-                "as long, or preview=false"
+                f"settle_time: {self.settle_time:g} s before a step that is seen {self.controller.ahead:g} s ahead "
+                "(controller.plan.horizon): at least as long, or preview=false"
             )
         return self
 
-    @field_validator("variants")
-    @classmethod
-    def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        if not value or not set(value) <= set(VARIANTS) or len(set(value)) < len(value):
-            raise ValueError(f"valid: some of {', '.join(VARIANTS)}, each once")
-        return value
+    @model_validator(mode="after")
+    def _one_at_least(self) -> Self:
+        if not self.variants:
+            raise ValueError("plain: one variant at least is needed; valid: plain=true or shaped=filters")
+        return self

@@ -6,7 +6,7 @@ from typing import Any
 
 import casadi as ca
 
-from wbmpc.bases.ball.defaults import RezeroCost, limit_torques
+from wbmpc.bases.ball.defaults import MpcCost, limit_torques
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.errors import InputError
 from wbmpc.model.kinematics import solve_spd
@@ -68,7 +68,7 @@ class ServoedArm:
         return f, ca.vertcat(kinematic, -solve_spd(base.mass_matrix(q)[:5, :5], slope), ca.jacobian(arm, outer))
 
 
-def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> OptimalControlProblem:
+def base_problem(robot: RobotModel, settings: MpcSettings, cost: MpcCost) -> OptimalControlProblem:
     """What is left of that problem for a base whose arm another controller moves (:class:`ServoedArm`): ball, yaw, rates and wheel
     torques, the same limits."""
     ocp = OptimalControlProblem(ServoedArm(robot), settings.horizon, settings.intervals)
@@ -82,5 +82,5 @@ def base_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -> 
     end = {g: [cost.terminal * w for w in v] if isinstance(v, list) else 0.0 for g, v in body.items()}
     ocp.add(Cost("body", residuals.State(robot), body, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("torque", residuals.Input(robot, ["wheel"], reference=None), cost.torque.wheel))
-    limit_torques(ocp, robot, settings, cost, ["wheel"])
+    limit_torques(ocp, robot, settings, cost.lean, ["wheel"])
     return ocp

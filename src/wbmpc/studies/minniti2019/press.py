@@ -18,7 +18,7 @@ from wbmpc.simulation.lockstep import Progress
 from wbmpc.simulation.tip import SOFT
 from wbmpc.studies.minniti2019.door import HERE
 from wbmpc.studies.minniti2019.door_figures import Trial
-from wbmpc.studies.minniti2019.door_problem import DoorScheme, LimitedApproach
+from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach
 from wbmpc.studies.minniti2019.door_settings import DoorSettings
 from wbmpc.studies.minniti2019.door_tracker import RELAX
 from wbmpc.studies.minniti2019.door_trial import believed, drawn_door, push_door
@@ -41,26 +41,31 @@ class PressSettings(DoorSettings):
     tip: Literal["hard", "soft"] = "soft"
     surface: Literal["door", "wall"] = "door"
     force: float = Field(16.0, gt=0, le=200.0)
-    scheme: DoorScheme = DoorScheme(approach=LimitedApproach(leans=True))
+    scheme: DoorScheme = DoorScheme(contact=DoorEquation(approach=LimitedApproach(leans=True)))
     settle_time: float = Field(1.5, ge=0.5, le=60.0)
     rise_time: float = Field(0.3, ge=0, le=10.0)
     final_hold_time: float = Field(0.2, ge=0.1, le=60.0)
 
 
-def press(settings: PressSettings, seed: int, progress: Progress | None, **surface: Any) -> tuple[Trial, Array, float]:
-    """One approach and push on a ``surface`` with these numbers of a :class:`wbmpc.studies.minniti2019.door_plant.Door`: how it went, the
-    physics steps (n, 6) as of :class:`wbmpc.studies.minniti2019.touch_plant.TouchPlant`, and when [s] the push ends."""
+def press(
+    settings: PressSettings, speed: float, seed: int, progress: Progress | None, **surface: Any
+) -> tuple[Trial, Array, float]:
+    """One approach at ``speed`` [m/s] at its start, and push on a ``surface`` with these numbers of a
+    :class:`wbmpc.studies.minniti2019.door_plant.Door`: how it went, the physics steps (n, 6) as of
+    :class:`wbmpc.studies.minniti2019.touch_plant.TouchPlant`, and when [s] the push ends."""
     plants: list[TouchPlant] = []
 
     def made(_: DoorSettings, robot: RobotModel, home: Array, torque: Array, seed: int) -> TouchPlant:
         door = drawn_door(settings, believed(robot.pose(home)[0]).hinge, seed)
         door = replace(door, locked=settings.surface == "wall", contact=TIPS[settings.tip], **surface)
         plants.append(
-            TouchPlant(robot.description, door, home, torque, settings.plant, seed=seed, payload=settings.payload)
+            TouchPlant(
+                robot.description, door, home, torque, settings.perturbation, seed=seed, payload=settings.payload
+            )
         )
         return plants[-1]
 
-    trial = push_door(settings, settings.force, seed, progress, made)
+    trial = push_door(settings, settings.force, speed, seed, progress, made)
     pushing = trial.log.times("pushing")[trial.log.array("pushing") > 0.0]
     limit = settings.settle_time + settings.timeout - RELAX
     return trial, plants[0].record(), min(float(pushing[-1]) if pushing.size else limit, limit)

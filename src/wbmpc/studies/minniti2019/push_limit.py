@@ -14,15 +14,15 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.ball.defaults import RezeroCost
 from wbmpc.experiment import Experiment, defined
 from wbmpc.log import Log
 from wbmpc.result import Metric, RunResult
 from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.minniti2019.controller_settings import HeldController, HeldMpc
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.push import IDEALIZATIONS
 from wbmpc.studies.minniti2019.push_once import Outcome, push_once
-from wbmpc.studies.minniti2019.push_settings import BALL_HELD, PushSettings
+from wbmpc.studies.minniti2019.push_settings import PushSettings
 
 #: Largest impulse [N s] that is tried.
 MAXIMUM = 320.0
@@ -44,7 +44,7 @@ class BallLimitSettings(HandLimitSettings):
     """The ball is held: the weights of `rezero-push-ball`."""
 
     held: ClassVar[str] = "ball"
-    cost: RezeroCost = BALL_HELD
+    controller: HeldController = HeldMpc()
 
 
 def largest(passes: Callable[[float], bool], resolution: float) -> float:

@@ -6,23 +6,13 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES
 from wbmpc.checks import whole
+from wbmpc.studies.minniti2019.controller_settings import HeldController, HeldMpc
 from wbmpc.studies.minniti2019.recovery import LAST
 from wbmpc.studies.minniti2019.settings import ControlledSettings
 
 #: Time [s] that a robot has for recovering, at least.
 RECOVERY = 2.0
-
-
-#: Weights that hold the ball and, of the end effector, only its orientation (the paper's first task).
-BALL_HELD = STEPS_AND_PUSHES.model_copy(
-    update={
-        "end_effector": STEPS_AND_PUSHES.end_effector.model_copy(update={"weight": 0.0}),
-        "body": STEPS_AND_PUSHES.body.model_copy(update={"ball": 10.0}),
-    }
-)
 
 
 class PushSettings(ControlledSettings):
@@ -70,4 +60,4 @@ class RezeroPushBallSettings(RezeroPushHandSettings):
     """The ball is held and, of the end effector, only its orientation (the paper's first task); otherwise the same weights."""
 
     held: ClassVar[str] = "ball"
-    cost: RezeroCost = BALL_HELD
+    controller: HeldController = HeldMpc()

@@ -7,17 +7,16 @@ of one size.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.door_problem import DoorScheme, EstimatedCone, LimitedApproach, PushCone
+from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, EstimatedCone, LimitedApproach, PushCone
 from wbmpc.studies.minniti2019.press import PressSettings, log_steps, press, pushes
 from wbmpc.studies.minniti2019.slip_figures import Press, metrics, plots
 
@@ -27,17 +26,17 @@ FRICTION_TIME = 0.002
 
 
 class SlipSettings(PressSettings):
-    """``grips``: friction coefficients of the surface, one push each, which the robot does not know; ``compare``: also with a cone of
-    one size (:class:`PushCone`). The others are those of :class:`wbmpc.studies.minniti2019.press.PressSettings`."""
+    """``speed`` [m/s]: speed of the approach at its start; ``grips``: friction coefficients of the surface, one push each, which the robot
+    does not know; ``compare``: an estimated cone also with one of one size (:class:`PushCone`). The others are those of
+    :class:`wbmpc.studies.minniti2019.press.PressSettings`."""
 
     grips: tuple[Annotated[float, Field(ge=0.02, le=2.0)], ...] = Field(
         (0.1, 0.2, 0.4, 0.8), min_length=1, max_length=8
     )
     compare: bool = True
-    scheme: DoorScheme = DoorScheme(approach=LimitedApproach(leans=True), cone=EstimatedCone())
+    speed: float = Field(0.1, gt=0, le=1.0)
+    scheme: DoorScheme = DoorScheme(contact=DoorEquation(approach=LimitedApproach(leans=True)), cone=EstimatedCone())
     timeout: float = Field(10.0, ge=1.0, le=120.0)
-
-    only_with: ClassVar[Rules] = {"compare": {"scheme.cone.kind": "estimated"}}
 
 
 def build(settings: SlipSettings, seed: int) -> Scenario:
@@ -50,7 +49,12 @@ def build(settings: SlipSettings, seed: int) -> Scenario:
         name = f"grip_{grip:g}" + ("" if learns == given else "_plain")
         scheme = settings.scheme if learns == given else settings.scheme.model_copy(update={"cone": PushCone()})
         trial, steps, end = press(
-            settings.model_copy(update={"scheme": scheme}), seed, progress, grip=grip, friction_time=FRICTION_TIME
+            settings.model_copy(update={"scheme": scheme}),
+            settings.speed,
+            seed,
+            progress,
+            grip=grip,
+            friction_time=FRICTION_TIME,
         )
         trusted = [c for c in ("grip",) if c in trial.log.channels]  # none without a cone
         bound = trial.log.array("grip") if trusted else np.array([np.inf])

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from wbmpc.bases.ball.posture import resting
-from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Timing
-from wbmpc.studies.minniti2019.controller_settings import PLANNERS
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.settings import ControlledSettings
 from wbmpc.studies.minniti2019.step_figures import metrics, plots
@@ -42,25 +40,23 @@ class RezeroStepsSettings(ControlledSettings):
     final_hold_time: float = Field(10.0, ge=0.0, le=600.0)
     preview: bool = False
 
-    only_with: ClassVar[Rules] = {"mpc.horizon": {"controller.kind": PLANNERS, "preview": True}}
-
     @property
     def lead(self) -> float:
         """How long before a goal the robot may start towards it [s]."""
-        return self.mpc.horizon if self.preview else 0.0
+        return self.controller.ahead if self.preview else 0.0
 
     @model_validator(mode="after")
     def _windows(self) -> Self:
         minimum = STEADY + max(self.lead, MOVING)
-        way_out = "; a smaller mpc.horizon or preview=false needs less" if self.lead > MOVING else ""
+        way_out = "; a smaller controller.plan.horizon or preview=false needs less" if self.lead > MOVING else ""
         if self.hold_time < minimum - 1e-9:
             raise ValueError(
                 f"hold_time={self.hold_time:g}: a step needs {minimum:g} s, {STEADY:g} s to be judged and before that the preview "
-                f"(mpc.horizon) or {MOVING:g} s to move{way_out}"
+                f"(controller.plan.horizon) or {MOVING:g} s to move{way_out}"
             )
         if self.settle_time < self.lead - 1e-9:
             raise ValueError(
-                f"settle_time={self.settle_time:g}: at least the preview of {self.lead:g} s (mpc.horizon) is needed{way_out}"
+                f"settle_time={self.settle_time:g}: at least the preview of {self.lead:g} s (controller.plan.horizon) is needed{way_out}"
             )
         return self
 

@@ -29,15 +29,16 @@ from wbmpc.result import Metric, Plot
 from wbmpc.robots import load_description
 from wbmpc.simulation.lockstep import Ending, Timing
 from wbmpc.studies.minniti2019.baselines import Parts, make_controller
-from wbmpc.studies.minniti2019.controller_settings import AnyController, PlanSettings, WholeBodyMpc
+from wbmpc.studies.minniti2019.controller_parts import MpcDisturbance, NoisyTruth, PushFilter
+from wbmpc.studies.minniti2019.controller_settings import ControllerSettings, Planner, PlanningController, WholeBodyMpc
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
-from wbmpc.studies.minniti2019.settings import ControlledSettings, NoisyTruth, RezeroSettings
+from wbmpc.studies.minniti2019.settings import ControlledSettings, RezeroSettings
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.units import force_unit
 
 IDEALIZATIONS = [
     "encoders, gyro and accelerometer have noise, bias and 5 ms of age; the start (position, heading) is known, and the floor "
-    "is flat; with estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
+    "is flat; with controller.estimator=truth the controller gets the simulator's state instead, 5 ms old, with noise",
     "the geometry and masses of Rezero's arm are assumed (not published)",
     "the omni wheels act as torques between ball and base; their traction limit is a clamp (limits.wheel_effort: 4 N m)",
     "the computation takes a constant 10 ms; drives follow torque with a first-order lag",
@@ -114,16 +115,14 @@ def check_ball(robot: str) -> None:
         raise InputError(f"robot: '{robot}' has a base of type '{kind}'; valid: ball")
 
 
-def robot_of(settings: RezeroSettings, chosen: AnyController) -> RobotModel:
+def robot_of(settings: RezeroSettings, chosen: ControllerSettings) -> RobotModel:
     """The ball robot as the ``chosen`` controller models it: with a mass at the end effector where that is estimated."""
-    return ball_robot(
-        settings, isinstance(chosen, PlanSettings) and chosen.estimate_payload and settings.estimate_disturbance
-    )
+    return ball_robot(settings, isinstance(chosen, Planner) and chosen.payload)
 
 
-def estimator_of(settings: RezeroSettings, robot: RobotModel, home: np.ndarray) -> BallEstimator | None:
-    """The estimator of the settings for a robot that starts in the state ``home`` (nx); None: the simulator's state takes its place."""
-    return None if isinstance(settings.estimator, NoisyTruth) else BallEstimator(robot, home)
+def estimator_of(chosen: ControllerSettings, robot: RobotModel, home: np.ndarray) -> BallEstimator | None:
+    """The estimator of a controller for a robot that starts in the state ``home`` (nx); None: the simulator's state takes its place."""
+    return None if isinstance(chosen.estimator, NoisyTruth) else BallEstimator(robot, home)
 
 
 @dataclass(frozen=True)
@@ -142,20 +141,27 @@ class BallSystem:
 
 
 def ball_system(
-    settings: RezeroSettings, chosen: AnyController, seed: int, arm: np.ndarray, references: Mapping[str, Reference]
+    settings: RezeroSettings,
+    chosen: ControllerSettings,
+    seed: int,
+    arm: np.ndarray,
+    references: Mapping[str, Reference],
 ) -> BallSystem:
     """The ``chosen`` controller on a perturbed plant, at rest with its ``arm`` (m) [rad] there, the estimator in the loop."""
     robot = robot_of(settings, chosen)
     home, torque = ball_base(robot).numeric.equilibrium(arm)
-    mpc = rezero_mpc(robot, settings.mpc, settings.cost)
+    plans = (
+        chosen if isinstance(chosen, PlanningController) else PlanningController()
+    )  # of baselines it has the references alone
+    mpc = rezero_mpc(robot, plans.planning(settings.mpc), plans.weights)
     set_home_references(mpc, robot, torque, home)
     position, quaternion = robot.pose(home)
     mpc.reference["end_effector"] = Reference.poses([0.0], position, quaternion)
     for term, reference in references.items():
         mpc.reference[term] = reference
-    plant = BallPlant(robot.description, home, torque, settings.plant, seed, payload=settings.payload)
+    plant = BallPlant(robot.description, home, torque, settings.perturbation, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
-    parts = Parts(robot, mpc, torque, timing.period, estimator_of(settings, robot, home), arm)
+    parts = Parts(robot, mpc, torque, timing.period, estimator_of(chosen, robot, home), arm)
     controller, planner = make_controller(settings, chosen, parts)
     mpc.reset(home, torque)
     return BallSystem(plant, controller, planner, mpc, timing)
@@ -180,11 +186,11 @@ def task_scenario(
     joints: JointRecord | None = None
     if isinstance(chosen, WholeBodyMpc):
         robot = controller.robot
-        if settings.estimate_disturbance:
-            controller.lean_control = LeanControl(robot, task.arm, settings.cost.lean, chosen.max_pushed_speed)
-        if chosen.expected_push_time > 0.0 and controller.estimator is not None:
-            # (states from the simulator with noise are all pushes)
-            controller.shoves = PushEstimator(robot, task.arm, chosen.expected_push_time)
+        if isinstance(chosen.disturbance, MpcDisturbance):
+            speed = chosen.disturbance.max_pushed_speed
+            controller.lean_control = LeanControl(robot, task.arm, chosen.cost.lean, speed)
+        if isinstance(chosen.estimator, PushFilter) and chosen.estimator.expected_push_time > 0.0:
+            controller.shoves = PushEstimator(robot, task.arm, chosen.estimator.expected_push_time)
         joints = JointRecord(log, robot, System(plant, controller, system.mpc, system.timing))
     rows, ticks = RezeroRecord(log, plant, controller), count()
 

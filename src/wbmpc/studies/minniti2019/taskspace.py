@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.ball.posture import resting
-from wbmpc.bases.ball.settings import LEARNED
-from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress
-from wbmpc.studies.minniti2019.controller_settings import AnyController, PlanSettings, TaskspaceSettings
+from wbmpc.studies.minniti2019.controller_settings import TaskspaceSettings, TrackedMpc
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.settings import RezeroSettings
@@ -30,15 +28,14 @@ SUMMARY = "an instantaneous task-space controller against the MPC on the end eff
 HERE = ["neither controller sees a step before it comes"]
 
 
-class RezeroTaskspaceSettings(PlanSettings, RezeroSettings):
+class RezeroTaskspaceSettings(RezeroSettings):
     """``settle_time`` [s]: time at home before the task; ``hold_time`` [s]: of each of the eight steps of `rezero-steps`, which follow;
-    ``taskspace``: gains of the task-space controller."""
+    ``controller``: the MPC; ``taskspace``: the task-space controller."""
 
     hold_time: float = Field(5.0, ge=1.0, le=600.0)
     settle_time: float = Field(4.0, ge=0.5, le=600.0)
+    controller: TrackedMpc = TrackedMpc()
     taskspace: TaskspaceSettings = TaskspaceSettings()
-
-    only_with: ClassVar[Rules] = {"estimate_payload": LEARNED}
 
 
 def goals(settings: RezeroTaskspaceSettings, robot: RobotModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -53,7 +50,7 @@ def drive(
     name: str, settings: RezeroTaskspaceSettings, seed: int, log: Log, progress: Progress | None = None
 ) -> Outcome:
     """One controller over all steps; channels are CHANNEL_NAME (none if it ended before its first record)."""
-    chosen: AnyController = settings if name == "mpc" else settings.taskspace
+    chosen = settings.controller if name == "mpc" else settings.taskspace
     robot = robot_of(settings, chosen)
     times, places, turns = goals(settings, robot)
     stances = [resting(robot, p, q) for p, q in zip(places, turns, strict=True)]

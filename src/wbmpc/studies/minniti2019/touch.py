@@ -7,16 +7,15 @@ Beside it the same approaches without that limit.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from wbmpc.configuration import Rules
 from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
-from wbmpc.studies.minniti2019.door_problem import DoorScheme, FreeApproach, LimitedApproach
+from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, FreeApproach, LimitedApproach
 from wbmpc.studies.minniti2019.press import PressSettings, log_steps, press, pushes
 from wbmpc.studies.minniti2019.touch_figures import Touch, metrics, plots
 
@@ -24,8 +23,9 @@ NAME = "touch"
 
 
 class TouchSettings(PressSettings):
-    """``speeds`` [m/s] that are commanded, one approach each; ``compare``: also without the limit of the approach's speed
-    (``scheme.approach``). The others are those of :class:`wbmpc.studies.minniti2019.press.PressSettings`."""
+    """``speeds`` [m/s] that are commanded, one approach each; ``compare``: where the speed of the approach is limited
+    (``scheme.contact.approach``), also without that limit. The others are those of
+    :class:`wbmpc.studies.minniti2019.press.PressSettings`."""
 
     tip: Literal["hard", "soft"] = "hard"
     surface: Literal["door", "wall"] = "wall"
@@ -33,19 +33,17 @@ class TouchSettings(PressSettings):
         (0.05, 0.1, 0.2, 0.3), min_length=1, max_length=8
     )
     compare: bool = True
-    scheme: DoorScheme = DoorScheme(approach=LimitedApproach())
+    scheme: DoorScheme = DoorScheme(contact=DoorEquation(approach=LimitedApproach()))
     timeout: float = Field(7.0, ge=1.0, le=120.0)
-
-    only_with: ClassVar[Rules] = {"speed": {}, "compare": {"scheme.approach.kind": "limited"}}
 
 
 def approach(
     settings: TouchSettings, speed: float, limited: bool, seed: int, progress: Progress | None
 ) -> tuple[Touch, Outcome]:
     """One approach with a commanded ``speed`` [m/s]."""
-    scheme = settings.scheme if limited else settings.scheme.model_copy(update={"approach": FreeApproach()})
-    here = settings.model_copy(update={"speed": speed, "scheme": scheme})
-    trial, steps, end = press(here, seed, progress)
+    free = settings.scheme.contact.model_copy(update={"approach": FreeApproach()})
+    scheme = settings.scheme if limited else settings.scheme.model_copy(update={"contact": free})
+    trial, steps, end = press(settings.model_copy(update={"scheme": scheme}), speed, seed, progress)
     touch = Touch(speed, settings.force, settings.settle_time, end, steps, trial.ending)
     return touch, Outcome(trial.ending, trial.faults, None, trial.mpc)
 

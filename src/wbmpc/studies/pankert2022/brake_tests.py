@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
@@ -14,7 +14,7 @@ from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.bases.swerve.perturbation import StuckBrake, SwervePerturbation
+from wbmpc.bases.swerve.perturbation import SoundPerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -35,22 +35,14 @@ KNOCK, KNOCK_BEGINS, KNOCK_ENDS = 120.0, SWING_PERIOD + 0.5, SWING_PERIOD + 1.5
 
 
 class SwerveBrakesSettings(Settings):
-    """``push`` [N] sideways at the body; ``height`` [m] of the blocks under three wheels while the fourth hangs."""
+    """``push`` [N] sideways at the body; ``height`` [m] of the blocks under three wheels while the fourth hangs. Brakes of the ``plant`` are
+    sound: the experiment makes them fail itself, in its last two tests."""
 
     control: ControlSettings = ControlSettings()
-    plant: SwervePerturbation = SwervePerturbation()
+    plant: SoundPerturbation = SoundPerturbation()
     robot: Robot = "swerve-ur10"
     push: float = Field(PUSH, gt=0, le=500)
     height: float = Field(0.03, gt=0.005, le=0.2)
-
-    @field_validator("plant")
-    @classmethod
-    def _sound(cls, plant: SwervePerturbation) -> SwervePerturbation:
-        if isinstance(plant.brake_fault, StuckBrake):
-            raise ValueError(
-                f"brake_fault={plant.brake_fault.kind}: this experiment makes brakes fail itself, in its last two tests"
-            )
-        return plant
 
 
 @dataclass(frozen=True)

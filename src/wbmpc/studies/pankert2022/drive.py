@@ -22,6 +22,7 @@ from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import baseline_metrics, metrics, plots
 from wbmpc.studies.pankert2022.drive_missions import Knock, SwerveDriveSettings, straight, tour
+from wbmpc.studies.pankert2022.driving import LidarPoses
 from wbmpc.studies.pankert2022.mission import Mission, ramps
 from wbmpc.studies.pankert2022.mission_run import MissionRun
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
@@ -108,7 +109,7 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
             held,
             knocked,
             None if baseline is None else baseline.ending,
-            settings.localization == "lidar",
+            isinstance(settings.localization, LidarPoses),
         )
 
     closed = {f"closed_{name}": straight(robot, name, False) for name in CONFIGURATIONS}

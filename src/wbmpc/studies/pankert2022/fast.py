@@ -1,7 +1,7 @@
 """`swerve-fast`: as fast as the floor carries it, with 10 kg at full reach: 2 m sideways, along an S-curve, or in a slalom.
 
 The order is a goal, or a path: no plan sees it before, and nothing but the plan says how fast to go. Plans by speeds
-(``mpc.model=kinematic``) know nothing of what a change of speed does to the loads of the wheels.
+(``stability=nothing``) know nothing of what a change of speed does to the loads of the wheels.
 """
 
 from __future__ import annotations
@@ -13,18 +13,16 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.configuration import OneOf
-from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.route import base_part
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
-from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.fast_courses import SCurve, Sideways, Slalom
 from wbmpc.tasks.loop import closed_loop
-from wbmpc.tasks.settings import TaskMpcSettings, TaskSettings
+from wbmpc.tasks.settings import MujocoPlant, TaskMpcSettings, TaskSettings
 from wbmpc.tasks.tip_over import LIFTED, reaching
 from wbmpc.types import Truth
 
@@ -39,10 +37,9 @@ class SwerveFastSettings(TaskSettings):
     stiff body on four stiff wheels that differ by 0.2 mm stands on three of them, whatever is planned."""
 
     robot: Robot = "swerve-ur10"
-    plant: AnyPerturbation = AnyPerturbation(payload=10.0, wheel_radius_each=0.0)
-    mpc: TaskMpcSettings = TaskMpcSettings(model="dynamic", horizon=2.0)
+    plant: MujocoPlant = MujocoPlant(payload=10.0, wheel_radius_each=0.0, calibration="drive")
+    mpc: TaskMpcSettings = TaskMpcSettings(horizon=2.0)
     stability: Stability = WheelLoadSettings(min_load=0.1, payload=10.0)
-    calibration: Literal["none", "drive"] = "drive"
     weights: dict[str, Positive] = Field(default={})
     settle_time: float = Field(2.0, ge=0, le=60)
     course: OneOf[Sideways | SCurve | Slalom] = Sideways()
@@ -94,8 +91,6 @@ class WheelWatch:
 
 def build(settings: SwerveFastSettings, seed: int) -> Scenario:
     """One run."""
-    if settings.physics != "mujoco":
-        raise InputError(f"{NAME}: physics: kinematic robots do not tip; valid: mujoco")
     robot = load_robot(settings.robot)
     base_part(robot, NAME)
     course, ordered = settings.course, settings.settle_time

@@ -23,6 +23,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.simulation.lockstep import Progress, Timing
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
+from wbmpc.studies.pankert2022.driving import LidarPoses
 from wbmpc.studies.pankert2022.fixed_figures import metrics, plots
 from wbmpc.studies.pankert2022.fixed_motions import Controller, Motion, SwerveFixedSettings, legs_at_home
 from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController, RollingGains
@@ -94,7 +95,7 @@ def build(settings: SwerveFixedSettings, seed: int) -> Scenario:
     }
     return Scenario(
         log, [Part(name, run, baseline="mpc" in drives and name != "mpc") for name, run in drives.items()],
-        lambda run: metrics(log, reference, drives, run, settings.localization == "lidar"), lambda run: plots(log, reference, drives),
+        lambda run: metrics(log, reference, drives, run, isinstance(settings.localization, LidarPoses)), lambda run: plots(log, reference, drives),
         IDEALIZATIONS, compared=True,
     )  # fmt: skip
 

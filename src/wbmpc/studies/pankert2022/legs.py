@@ -25,6 +25,7 @@ from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.drive_course import uneven_floor
 from wbmpc.studies.pankert2022.drive_figures import ODOMETRY_ALONE, WITH_LIDAR, story, tour_metrics
 from wbmpc.studies.pankert2022.drive_missions import TOUR, MissionSettings, tour_way
+from wbmpc.studies.pankert2022.driving import LidarPoses
 from wbmpc.studies.pankert2022.metrics import rms
 from wbmpc.studies.pankert2022.mission import Mission, Reconfiguration
 from wbmpc.studies.pankert2022.mission_run import MissionRun
@@ -115,7 +116,7 @@ def build(settings: LegsSettings, seed: int) -> Scenario:
     reject_two_wheels(robot.description)
     mission = legs_tour(robot, settings.half_width, settings.plant.brake_delay)
     bench = MissionRun.of(settings, robot, seed)
-    near = WITH_LIDAR if settings.localization == "lidar" else ODOMETRY_ALONE
+    near = WITH_LIDAR if isinstance(settings.localization, LidarPoses) else ODOMETRY_ALONE
 
     def measured(run: Run) -> dict[str, Metric]:
         outcome = run.outcomes[""]

@@ -21,6 +21,7 @@ from wbmpc.simulation.contacts import GROUND, OBSTACLE
 from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022 import plaster_wall as wall
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
+from wbmpc.studies.pankert2022.driving import LidarPoses
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster_figures import metrics, plots
 from wbmpc.studies.pankert2022.standing import stand_still
@@ -117,7 +118,7 @@ def build(settings: wall.SwervePlasterSettings, seed: int) -> Scenario:
     stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(robot.home)
     log = Log()
-    sensor = _WallSensor(robot, timing.period, seed) if settings.localization == "lidar" else None
+    sensor = _WallSensor(robot, timing.period, seed) if isinstance(settings.localization, LidarPoses) else None
 
     def record(t: float, command: Any, plans: Any) -> None:
         if sensor is not None and t >= references.lines.start - 0.5:

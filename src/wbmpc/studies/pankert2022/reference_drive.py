@@ -17,7 +17,6 @@ from pydantic import Field
 
 from wbmpc.bases.swerve.brake_control import FLOATING, floating
 from wbmpc.bases.swerve.calibration import calibrate
-from wbmpc.bases.swerve.calibrator import steer_joints
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
@@ -210,15 +209,8 @@ def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> 
     return calibrate(swerve_base(robot).geometry, record_of(log))
 
 
-def calibrated(
-    robot: RobotModel, how: str, plant: SwervePerturbation, lidar: LidarSettings, seed: int
-) -> WheelCalibration:
-    """What an experiment knows of its wheels: ``how`` is "none", "drive" (a reference drive of this plant first), or a file."""
-    geometry = swerve_base(robot).geometry
-    if how == "none":
-        return WheelCalibration.unknown(geometry)
-    if how == "drive":
-        sound = plant.model_copy(update={"brake_fault": SoundBrakes()})  # a brake fails in the run, not before it
-        settings = SwerveCalibrateSettings(plant=sound, lidar=lidar)
-        return WheelCalibration(**kept(robot, settings, seed, lambda: vars(_driven(robot, settings, seed))))
-    return WheelCalibration.load(how, geometry, steer_joints(robot), robot.description.name)
+def calibrated(robot: RobotModel, plant: SwervePerturbation, lidar: LidarSettings, seed: int) -> WheelCalibration:
+    """What a reference drive of this plant shows of its wheels."""
+    sound = plant.model_copy(update={"brake_fault": SoundBrakes()})  # a brake fails in the run, not before it
+    settings = SwerveCalibrateSettings(plant=sound, lidar=lidar)
+    return WheelCalibration(**kept(robot, settings, seed, lambda: vars(_driven(robot, settings, seed))))

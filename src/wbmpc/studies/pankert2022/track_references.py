@@ -9,11 +9,11 @@ from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.bases.swerve.defaults import EndEffectorCost, SwerveCost
-from wbmpc.configuration import Rules
+from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import Robot
+from wbmpc.settings import Robot, Settings
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.tasks.paths import Approach, SinePath
 
@@ -27,23 +27,33 @@ END_EFFECTOR_ROTATION = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 
 END_EFFECTOR_ORIENTATION = lie.rotation_to_quaternion(END_EFFECTOR_ROTATION)
 
 
+class PlainSine(Settings):
+    """The sine lies, or stands upright (vertical). ``amplitude`` [m]: amplitude of the sine."""
+
+    kind: Literal["horizontal", "vertical"] = "horizontal"
+    amplitude: float = Field(0.498, gt=0, le=0.6)
+
+
+class Peaks(Settings):
+    """The sine lies, with peaks 30 mm out of reach of an arm whose base stays on its line."""
+
+    kind: Literal["peaks"] = "peaks"
+    amplitude: ClassVar[float] = REACH + BEYOND - SIDE
+
+
 class SwerveTrackSettings(DrivingSettings):
-    """``periods``: number of periods of the sine (6 are the paper's 15.96 m); ``amplitude`` [m]: amplitude of the sine; ``variant``:
-    vertical (upright), or peaks (horizontal, with peaks 30 mm out of reach of an arm whose base stays on its line, instead of the
-    amplitude); ``speed`` [m/s]: along it (an end effector that is elsewhere at home comes to its start first); ``friction``: whether
-    the dry friction of wheels and steering is estimated and compensated; ``smoothing`` [s]: of base position and arm against the jitter
-    of the encoders' age (0: none). The other settings are those of all experiments that drive."""
+    """``periods``: number of periods of the sine (6 are the paper's 15.96 m); ``variant``: horizontal or vertical (:class:`PlainSine`),
+    or :class:`Peaks`; ``speed`` [m/s]: along it (an end effector that is elsewhere at home comes to its start first); ``friction``:
+    whether the dry friction of wheels and steering is estimated and compensated; ``smoothing`` [s]: of base position and arm against the
+    jitter of the encoders' age (0: none). The other settings are those of all experiments that drive."""
 
     cost: SwerveCost = SwerveCost(end_effector=EndEffectorCost(weight=4000.0))
     robot: Robot = "swerve-ur10"
-    variant: Literal["horizontal", "vertical", "peaks"] = "horizontal"
+    variant: OneOf[PlainSine | Peaks] = PlainSine()
     periods: int = Field(6, ge=1, le=20)
     speed: float = Field(0.255, ge=0.01, le=0.8)
-    amplitude: float = Field(0.498, gt=0, le=0.6)
     friction: bool = True
     smoothing: float = Field(0.025, ge=0, le=1)
-
-    only_with: ClassVar[Rules] = {"amplitude": {"variant": ("horizontal", "vertical")}}
 
 
 class TrackReferences:
@@ -51,11 +61,10 @@ class TrackReferences:
 
     def __init__(self, settings: SwerveTrackSettings, robot: RobotModel) -> None:
         s = settings
-        amplitude = REACH + BEYOND - SIDE if s.variant == "peaks" else s.amplitude
-        self.vertical = s.variant == "vertical"
+        self.vertical = s.variant.kind == "vertical"
         self.approach = Approach(robot.pose(robot.home), (np.array([AHEAD, SIDE, HEIGHT]), END_EFFECTOR_ORIENTATION))
         begin = self.approach.duration + 0.5
-        self.path = SinePath(amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=begin, ramp=2.0)
+        self.path = SinePath(s.variant.amplitude, PERIOD_LENGTH * s.periods, s.periods, s.speed, start=begin, ramp=2.0)
         self.duration = float(np.ceil((self.path.end + 0.5) * 10.0) / 10.0)
 
     @property
