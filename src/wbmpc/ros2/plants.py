@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -13,8 +13,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import check_numbers, seconds
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.simulated_robot import SimulatedRobot
-from wbmpc.types import Truth
+from wbmpc.types import SimulatedRobot, Truth
 
 Array = np.ndarray
 #: Of the position loop of a simulated joint_trajectory_controller [1/s]; a speed below the other one [rad/s] is rest for it.
@@ -149,4 +148,4 @@ def _rows(what: str, values: list[Any], joints: int) -> Array:
 
 def plant_of(robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
     """The simulated robot; raises :class:`InputError` where its base type has none for ROS 2."""
-    return base_type(robot.description.base.type).ros_plant(robot, perturbation, seed)
+    return cast(RosPlant, base_type(robot.description.base.type).ros_plant(robot, perturbation, seed))

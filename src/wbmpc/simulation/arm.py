@@ -18,7 +18,8 @@ from wbmpc.robots.couplings import followers, put_followers
 from wbmpc.simulation.arm_step import carry, keep
 from wbmpc.simulation.payloads import PAYLOAD, add_payload
 from wbmpc.simulation.perturbation import ArmPerturbation, PlantSample
-from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive
+from wbmpc.simulation.world import Array, WorldAccess, add_drive
+from wbmpc.types import Edit
 
 #: Gain [N m s/rad] of the servos per N m of effort limit, but not below its floor; floor of those that slide [N s/m].
 _ARM_GAIN, _MIN_ARM_GAIN, _SLIDE_GAIN = 12.0, 800.0, 2e4

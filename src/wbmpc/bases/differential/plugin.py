@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit
 
 #: Axles are one if they are parallel within 1 - cosine and cross a line within so much [m]; a pair is so far [m] apart at least.
 PARALLEL, BESIDE, APART = 1e-3, 0.002, 0.05

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.simulation.perturbation import ArmPerturbation, Perturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit
 
 
 class FixedBaseType(BaseType):
@@ -82,7 +82,7 @@ class FixedBaseType(BaseType):
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.control.direct import DirectController
         from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE
-        from wbmpc.simulation.lockstep import Timing
+        from wbmpc.types import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit
 
 #: Wheels point in one direction above this cosine; axles are two if so far [m] apart.
 ALIKE, APART = 0.97, 0.05

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit
 
     Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit
 
 Array = NDArray[np.float64]
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
@@ -88,7 +88,7 @@ class PlanarBaseType(BaseType):
     ) -> System:
         """A perturbed plant at home with its controller and MPC, whose goal is home."""
         from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE
-        from wbmpc.simulation.lockstep import Timing
+        from wbmpc.types import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)

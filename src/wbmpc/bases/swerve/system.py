@@ -18,7 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.settings import ACTUATOR_TIME_CONSTANT, COMPUTATION_DELAY, CONTROL_RATE, MpcSettings, StabilitySettings
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.types import Timing
 
 #: Legs pull harder than in tracking: their configuration is asked for, not left over.
 LEG_WEIGHT = 20.0

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit
 
 #: Steering rate [rad/s] and acceleration [rad/s²] where a file has no limit.
 STEER_RATE, STEER_ACCELERATION = 5.0, 60.0
