@@ -26,10 +26,10 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
-from wbmpc.simulation.lockstep import Timing
 from wbmpc.solver import SQP
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
 from wbmpc.tasks.paths import SinePath
+from wbmpc.types import Timing
 
 Array = np.ndarray
 Event = tuple[float, Callable[[], None]]

@@ -12,7 +12,8 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.settings import MpcSettings
-from wbmpc.simulation.lockstep import Timing, run_lockstep
+from wbmpc.simulation.lockstep import run_lockstep
+from wbmpc.types import Timing
 
 robot = wb.load_robot("rezero")
 home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])

@@ -16,7 +16,8 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Reference
 from wbmpc.settings import MpcSettings
-from wbmpc.simulation.lockstep import Timing, run_lockstep
+from wbmpc.simulation.lockstep import run_lockstep
+from wbmpc.types import Timing
 
 #: Leg angles [rad] of the configurations of Pankert et al. 2022, Table I (signs of LF, RF, LB, RB).
 SIGNS = np.array([1.0, -1.0, -1.0, 1.0])

@@ -133,6 +133,35 @@ def test_libraries_are_used_where_they_may(library: str) -> None:
     assert users <= ONLY_IN[library]
 
 
+def test_protocols_of_bases_name_no_type_of_a_bus_or_a_simulator() -> None:
+    """Not even for a type checker: who writes a base type depends on neither."""
+    for path in sorted((SOURCE / "bases").glob("*.py")):
+        named = imported(ast.parse(path.read_text()), "wbmpc.bases")
+        later = {n for n in named if n.startswith(("wbmpc.ros2", "wbmpc.simulation", "wbmpc.view", "wbmpc.cli"))}
+        assert not later, f"{path.name}: {sorted(later)}"
+
+
+def set_in_others(tree: ast.Module) -> list[str]:
+    """What a module sets in a module or class that it imports, when it is imported itself: an edge that no import shows."""
+    names = {n.rpartition(".")[2] for n in imported(tree, "wbmpc")}
+    names |= {
+        a.asname for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom) for a in n.names if a.asname
+    }
+    targets = [t for n in tree.body if isinstance(n, ast.Assign) for t in n.targets]
+    return [
+        ast.unparse(t) for t in targets if isinstance(t, ast.Attribute) and ast.unparse(t).partition(".")[0] in names
+    ]
+
+
+def test_a_module_sets_nothing_in_another() -> None:
+    assert not [f"{p.relative_to(SOURCE)}: {t}" for p in MODULES for t in set_in_others(ast.parse(p.read_text()))]
+
+
+def test_the_check_sees_what_is_set_in_another_module() -> None:
+    source = "from wbmpc.bases import base\nfrom a import b as c\nbase.offering = print\nc.d.e = 1\nx = 2\n"
+    assert set_in_others(ast.parse(source)) == ["base.offering", "c.d.e"]
+
+
 def test_an_mpc_knows_no_residual_by_its_class() -> None:
     """What it sets before a solve it finds by protocols of :mod:`wbmpc.ocp.symbols`, so that residuals of users take part."""
     for path in (p for p in MODULES if owner(p) in ("mpc", "solver", "runtime", "embedded")):

@@ -25,8 +25,9 @@ from wbmpc.model.tree import read_tree
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.any_perturbation import AnyPerturbation, models
 from wbmpc.simulation.kept_calibration import plugin_folders
-from wbmpc.simulation.lockstep import Ending, Running, Timing
+from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.simulation.perturbation import Perturbation, perturbation_model
+from wbmpc.types import Timing
 
 if TYPE_CHECKING:
     from wbmpc.bases.footprint import Footprint

@@ -77,7 +77,6 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.runtime.safety import RealTimeSettings as RealTimeSettings
     from wbmpc.runtime.stop_control import RobotInterface as RobotInterface
     from wbmpc.simulation.inline import show as show
-    from wbmpc.simulation.lockstep import Timing as Timing
     from wbmpc.simulation.lockstep import Watch as Watch
     from wbmpc.simulation.lockstep import run_lockstep as run_lockstep
     from wbmpc.solver import ILQR as ILQR
@@ -94,6 +93,7 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.tasks.settings import TaskSettings as TaskSettings
     from wbmpc.tasks.simulation import simulate as simulate
     from wbmpc.types import Observation as Observation
+    from wbmpc.types import Timing as Timing
 
 __version__ = "0.2.0"
 
@@ -166,7 +166,7 @@ _MODULES = {
     "RobotDescription": "wbmpc.robots",
     "Trajectory": "wbmpc.solver",
     "PolicyQueue": "wbmpc.mpc.policy_queue",
-    "Timing": "wbmpc.simulation.lockstep",
+    "Timing": "wbmpc.types",
     "Watch": "wbmpc.simulation.lockstep",
     "run_lockstep": "wbmpc.simulation.lockstep",
     "Experiment": "wbmpc.experiment",

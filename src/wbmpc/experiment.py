@@ -32,8 +32,8 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.result import Drawing, Metric, MpcStatistics, OutcomeName, Plot, RunResult, Series
 from wbmpc.simulation.contacts import Contacts
-from wbmpc.simulation.lockstep import Ending, Progress, Timing, part, preparing, run_lockstep
-from wbmpc.types import Plant
+from wbmpc.simulation.lockstep import Ending, Progress, part, preparing, run_lockstep
+from wbmpc.types import Plant, Timing
 
 #: Unit and definition of metrics by name; ``*`` in a name stands for anything, and the first that fits counts.
 Definitions = Mapping[str, tuple[str, str]]

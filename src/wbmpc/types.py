@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.checks import absolute_time, real_numbers
+from wbmpc.checks import absolute_time, real_numbers, whole
+from wbmpc.errors import InputError
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from wbmpc.robots import RobotDescription
+
+#: Changes a MuJoCo specification before it is compiled: blocks, cables, doors, a payload.
+Edit = Callable[["mujoco.MjSpec"], None]
 
 #: A global pose so little [s] ahead of the last message counts as of then (another clock, a message on its way); others do not count.
 POSE_AHEAD = 0.1
@@ -99,3 +109,50 @@ class Plant(Protocol[CommandT, MeasurementT]):
     def step(self, command: CommandT, steps: int = 1) -> None: ...
 
     def truth(self) -> Truth: ...
+
+
+class SimulatedRobot(Plant[Any, Any], Protocol):
+    """A plant that can be shown: its robot's ``description``, MuJoCo's ``model`` and ``data``, and ``world.frames(height)`` (see
+    :class:`wbmpc.simulation.world.World`)."""
+
+    @property
+    def description(self) -> RobotDescription: ...
+
+    @property
+    def model(self) -> mujoco.MjModel: ...
+
+    @property
+    def data(self) -> mujoco.MjData: ...
+
+    @property
+    def world(self) -> Any: ...
+
+    def push(self, force: Array) -> None:
+        """Push the base with a force (3) [N] until changed."""
+
+    def arrange(self, state: Array) -> None:
+        """Put the bodies where a state (nx) has them."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """``period`` [s] of the controller, which is ``steps`` physics steps; the MPC is called at every ``mpc_every``-th tick, and its policies
+    become active ``delay`` ticks later."""
+
+    period: float
+    steps: int
+    mpc_every: int
+    delay: int
+
+    @classmethod
+    def of(cls, timestep: float, control_rate: float, mpc_rate: float, delay: float) -> Timing:
+        """Check ``control_rate`` [Hz], ``mpc_rate`` [Hz] and ``delay`` [s] against the physics step ``timestep`` [s]."""
+        steps = whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
+        period = steps * timestep
+        if mpc_rate > control_rate:
+            raise InputError(
+                f"mpc.rate: {mpc_rate:g} Hz is faster than the controller (control.rate), {control_rate:g} Hz, which follows the "
+                f"plans; valid: the controller's rate or a whole part of it"
+            )
+        every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
+        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", minimum=0))

@@ -12,8 +12,8 @@ import pytest
 
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.mpc.policy_queue import PolicyQueue
-from wbmpc.simulation.lockstep import Ending, Timing, run_lockstep
-from wbmpc.types import Observation, Plant
+from wbmpc.simulation.lockstep import Ending, run_lockstep
+from wbmpc.types import Observation, Plant, Timing
 
 
 class FakeMPC:

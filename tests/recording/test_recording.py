@@ -36,9 +36,10 @@ from wbmpc.recording.reader import read_recording
 from wbmpc.recording.recorder import PAUSE, Recorder
 from wbmpc.registry import REGISTRY
 from wbmpc.robots import load_description
-from wbmpc.simulation.lockstep import Ending, Running, Timing, Watch, run_lockstep, watched
+from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep, watched
 from wbmpc.simulation.scene import Scene, SceneReader
 from wbmpc.studies.pankert2022 import stability as swerve_stability
+from wbmpc.types import Timing
 from wbmpc.view.replay import Film
 from wbmpc.view.session import system_of
 

@@ -21,7 +21,8 @@ from wbmpc.model.robot import load_robot
 from wbmpc.result import Metric
 from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.contacts import Touch
-from wbmpc.simulation.lockstep import Ending, Timing, run_lockstep
+from wbmpc.simulation.lockstep import Ending, run_lockstep
+from wbmpc.types import Timing
 
 SWERVE, BALL = load_robot("swerve-ur10"), load_robot("rezero")
 

@@ -21,7 +21,8 @@ from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, mpc_settings
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.ocp import Reference
 from wbmpc.robots.description import DATA
-from wbmpc.simulation.lockstep import Timing, run_lockstep
+from wbmpc.simulation.lockstep import run_lockstep
+from wbmpc.types import Timing
 
 WRIST = """<body name="wrist_{k}_link" pos="0 0 {z}"><inertial pos="0 0 0.02" mass="0.25" diaginertia="3e-3 3e-3 2e-3"/>
 <joint name="wrist_{k}" axis="{axis}" range="-2 2"/>{inside}</body>"""

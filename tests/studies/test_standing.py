@@ -8,10 +8,10 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.log import Log
-from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022 import reference_drive
 from wbmpc.studies.pankert2022.reference_drive import SwerveCalibrateSettings, drive
 from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.types import Timing
 
 LOADED = SwervePerturbation(payload=10.0)
 #: How far a joint may give way [rad]: drives that hold a speed of 0 lose twice as much in these 2 s under this load.

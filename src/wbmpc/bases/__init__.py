@@ -10,11 +10,11 @@
 from __future__ import annotations
 
 from functools import cache, partial
+from typing import Any
 
 import wbmpc.mujoco_start  # noqa: F401  (before others import MuJoCo)
 from wbmpc import plugins
-from wbmpc.bases import base
-from wbmpc.bases.base import PARTS, BaseType
+from wbmpc.bases.base import PARTS, BaseType, MissingPart
 from wbmpc.errors import InputError, unknown_name
 
 GROUP = "wbmpc.bases"
@@ -53,13 +53,21 @@ def base_type(name: str) -> BaseType:
     plug_in = plugins.load(locations[name], f"base type '{name}': its plug-in")
     with plugins.mistakes_of(f"base type '{name}': its plug-in {locations[name]} cannot be made"):
         made: BaseType = plug_in()
-    for part in PARTS:  # of a plug-in that does not derive from BaseType
-        if not hasattr(made, part):
-            setattr(made, part, partial(getattr(BaseType, part), made))
+    for part in PARTS:
+        if not _defines(type(made), part):
+            object.__setattr__(made, part, partial(_inherited, made, part))  # a frozen plug-in too
     return made
 
 
-def _offering(part: str) -> list[str]:
+def _inherited(plug_in: BaseType, part: str, *args: Any, **named: Any) -> Any:
+    """What a plug-in that leaves a part out does. The error names the base types that define the part."""
+    try:
+        return getattr(BaseType, part)(plug_in, *args, **named)
+    except MissingPart as error:
+        raise InputError(f"{error}; valid: {', '.join(offering(part)) or 'no base type that is installed'}") from None
+
+
+def offering(part: str) -> list[str]:
     """Names of the base types that define a part of the plug-in; those of packages that cannot be imported are left out."""
     found = []
     for name in available_base_types():
@@ -73,7 +81,8 @@ def _offering(part: str) -> list[str]:
 def offers(name: str, part: str) -> bool:
     """Whether the base type ``name`` defines a ``part`` of the plug-in (:data:`wbmpc.bases.base.PARTS`). Raises :class:`InputError` as
     :func:`base_type`."""
-    return getattr(type(base_type(name)), part, None) not in (None, getattr(BaseType, part))
+    return _defines(type(base_type(name)), part)
 
 
-base.offering = _offering
+def _defines(kind: type[BaseType], part: str) -> bool:
+    return getattr(kind, part, None) not in (None, getattr(BaseType, part))

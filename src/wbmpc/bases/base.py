@@ -8,7 +8,7 @@ the part and the base types that offer it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol
 
@@ -37,13 +37,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.findings import Finding
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
-    from wbmpc.ros2.base_adapter import BaseAdapter
-    from wbmpc.ros2.plants import RosPlant
-    from wbmpc.ros2.settings import RosSettings
-    from wbmpc.simulation.lockstep import Timing
-    from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.simulated_robot import SimulatedRobot
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit, SimulatedRobot, Timing
 
 #: The group of a base's wheels, or of what drives it in their place, in commands and measurements: whether or not the model's state has it.
 WHEELS = "wheel"
@@ -266,6 +260,12 @@ class Reshaping(Protocol):
         reference as it goes on if it does not have to wait for the robot; None: it never waits."""
 
 
+class OnBus(Protocol):
+    """A part of a plug-in that :mod:`wbmpc.ros2` works with, for its ``robot``."""
+
+    robot: RobotModel
+
+
 class BaseType(Protocol):
     """The plug-in of a base type. Its instances have no state."""
 
@@ -288,15 +288,13 @@ class BaseType(Protocol):
         """The symbolic base of a described robot."""
         reject_missing_part(description, "model")
 
-    def perturbation(self) -> type[Perturbation] | None:
+    def perturbation(self) -> type[BaseModel] | None:
         """The model of its plant's perturbation, a subclass of :class:`wbmpc.simulation.perturbation.Perturbation` with settings of its own;
         None: what the plants of all robots read."""
         return None
 
-    def plant(
-        self, robot: RobotModel, perturbation: Perturbation | None, seed: int, edit: Edit | None = None
-    ) -> SimulatedRobot:
-        """The simulated robot at home, perturbed against the model; see :class:`System`."""
+    def plant(self, robot: RobotModel, perturbation: Any, seed: int, edit: Edit | None = None) -> SimulatedRobot:
+        """The simulated robot at home, whose ``perturbation`` against the model is of :meth:`perturbation` (None: its defaults)."""
         reject_missing_part(robot.description, "plant")
 
     def mpc(
@@ -309,7 +307,7 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "mpc")
 
     def system(
-        self, robot: RobotModel, seed: int, perturbation: Perturbation | None = None, mpc: MPC | None = None,
+        self, robot: RobotModel, seed: int, perturbation: Any = None, mpc: MPC | None = None,
         edit: Edit | None = None, calibration: Calibration | None = None,
     ) -> System:  # fmt: skip
         """Plant, controller and MPC: what views and general experiments start from. ``perturbation`` of the plant and ``mpc``: the default
@@ -333,16 +331,16 @@ class BaseType(Protocol):
         not; empty for a base that has none."""
         return {}
 
-    def ros_settings(self, description: RobotDescription) -> type[RosSettings]:
-        """The settings of this base type's controller on a ROS 2 bus."""
+    def ros_settings(self, description: RobotDescription) -> type[BaseModel]:
+        """The settings of this base type's controller on a ROS 2 bus, a subclass of :class:`wbmpc.ros2.settings.RosSettings`."""
         reject_missing_part(description, "ros_settings")
 
-    def ros(self, robot: RobotModel, settings: Any, period: float) -> BaseAdapter:
+    def ros(self, robot: RobotModel, settings: Any, period: float) -> OnBus:
         """The adapter of this base type on a ROS 2 bus (:class:`wbmpc.ros2.base_adapter.BaseAdapter`) with settings of
         :meth:`ros_settings`; ``period`` [s] of the controller."""
         reject_missing_part(robot.description, "ros")
 
-    def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
+    def ros_plant(self, robot: RobotModel, perturbation: Any, seed: int) -> OnBus:
         """The simulated robot's side of a ROS 2 bus (:class:`wbmpc.ros2.plants.RosPlant`)."""
         reject_missing_part(robot.description, "ros_plant")
 
@@ -362,13 +360,12 @@ PARTS = {
 }  # fmt: skip
 
 
-#: Returns the names of the base types that define a part. Set by :mod:`wbmpc.bases`, which imports this module.
-offering: Callable[[str], list[str]] = lambda part: []
+class MissingPart(InputError):
+    """A plug-in does not define a part. :func:`wbmpc.bases.base_type` adds who does."""
 
 
 def reject_missing_part(description: RobotDescription, part: str) -> NoReturn:
-    """Raise :class:`InputError`: the robot's base type does not define a part of the plug-in; names those that do."""
-    raise InputError(
-        f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} "
-        f"('{part}'); valid: {', '.join(offering(part)) or 'no base type that is installed'}"
+    """Raise :class:`MissingPart`: the robot's base type does not define a part of the plug-in."""
+    raise MissingPart(
+        f"'{description.name}' has a base of type '{description.base.type}', whose plug-in offers no {PARTS[part]} ('{part}')"
     )

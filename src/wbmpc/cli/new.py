@@ -272,7 +272,7 @@ def _weights(robot: RobotModel) -> str:
 
 
 def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapping[str, Any]) -> Iterator[str]:
-    from wbmpc.bases.base import offering
+    from wbmpc.bases import offers
     from wbmpc.robots.doctor import examine_robot
     from wbmpc.robots.draft import ground_of
 
@@ -297,5 +297,5 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapp
         yield f"  note: its wheels stand still; why no base type drives them: wbmpc doctor {draft.mechanism.file.path}"
     found = examine_robot(str(path))
     yield f"  wbmpc doctor {path}: {found.count('error')} errors, {found.count('warning')} warnings"
-    shown = draft.base in offering("system")
+    shown = offers(draft.base, "system")
     yield f"  next: wbmpc view {path}" if shown else f"  next: wb.load_robot('{path}')"

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import cast
 
 import numpy as np
 
@@ -73,7 +74,8 @@ class ControlNode:
     def _create_parts(self) -> None:
         """What the node is made of, and its endpoints."""
         node, robot, settings = self.node, self.robot, self.settings
-        self.adapter: BaseAdapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
+        adapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
+        self.adapter = cast(BaseAdapter, adapter)
         self.adapter.origin = lambda: self.clock.origin
         steady = self.clock.steady if isinstance(self.clock, BusClock) else time.monotonic
         self.source = PoseSource(node, settings, steady, self.now)

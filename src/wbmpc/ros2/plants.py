@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import check_numbers, seconds, upright
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.simulated_robot import SimulatedRobot
-from wbmpc.types import Truth
+from wbmpc.types import SimulatedRobot, Truth
 
 #: Of the position loop of a simulated joint_trajectory_controller [1/s]; a speed below the other one [rad/s] is rest for it.
 _GAIN, AT_REST = 10.0, float(np.finfo(np.float32).eps)
@@ -150,4 +149,4 @@ def _rows(what: str, values: list[Any], joints: int) -> Array:
 
 def plant_of(robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
     """The simulated robot; raises :class:`InputError` where its base type has none for ROS 2."""
-    return base_type(robot.description.base.type).ros_plant(robot, perturbation, seed)
+    return cast(RosPlant, base_type(robot.description.base.type).ros_plant(robot, perturbation, seed))

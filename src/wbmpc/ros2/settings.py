@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
@@ -312,7 +312,7 @@ class RosSettings(Settings):
 def settings_of(robot: RobotModel) -> type[RosSettings]:
     """The settings for a robot's base type. Raises :class:`InputError` where that has no controller for ROS 2."""
     description = robot.description
-    return base_type(description.base.type).ros_settings(description)
+    return cast(type[RosSettings], base_type(description.base.type).ros_settings(description))
 
 
 def joint_groups(robot: RobotModel) -> dict[str, tuple[str, ...]]:

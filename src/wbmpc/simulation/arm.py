@@ -19,7 +19,8 @@ from wbmpc.robots.couplings import followers, put_followers
 from wbmpc.simulation.compilation import step
 from wbmpc.simulation.payloads import PAYLOAD, add_payload
 from wbmpc.simulation.perturbation import ArmPerturbation, PlantSample
-from wbmpc.simulation.world import Array, Edit, WorldAccess, add_drive
+from wbmpc.simulation.world import Array, WorldAccess, add_drive
+from wbmpc.types import Edit
 
 
 @step

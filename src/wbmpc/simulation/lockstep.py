@@ -14,13 +14,12 @@ from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from wbmpc.checks import not_negative, real_number, whole
+from wbmpc.checks import not_negative, real_number
 from wbmpc.control.protocols import Controller, RobotController
 from wbmpc.errors import (
     DisturbanceTooLarge,
     EndedByUser,
     FallPredicted,
-    InputError,
     NotFinite,
     RobotStuck,
     RunAborted,
@@ -31,8 +30,7 @@ from wbmpc.errors import (
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.simulation.contacts import Contacts
-from wbmpc.simulation.simulated_robot import SimulatedRobot
-from wbmpc.types import Plant
+from wbmpc.types import Plant, SimulatedRobot, Timing
 
 #: Commands and measurements of one robot.
 C = TypeVar("C")
@@ -76,30 +74,6 @@ def contacts_of(*plants: Plant[Any, Any]) -> tuple[Contacts, ...]:
     worlds = [getattr(plant, "world", None) for plant in plants if plant.has_physics]
     found = [getattr(world, "contacts", None) for world in worlds]
     return tuple(contacts for contacts in found if contacts is not None)
-
-
-@dataclass(frozen=True)
-class Timing:
-    """``period`` [s] of the controller, which is ``steps`` physics steps; the MPC is called at every ``mpc_every``-th tick, and its policies
-    become active ``delay`` ticks later."""
-
-    period: float
-    steps: int
-    mpc_every: int
-    delay: int
-
-    @classmethod
-    def of(cls, timestep: float, control_rate: float, mpc_rate: float, delay: float) -> Timing:
-        """Check ``control_rate`` [Hz], ``mpc_rate`` [Hz] and ``delay`` [s] against the physics step ``timestep`` [s]."""
-        steps = whole("control.rate", 1.0 / control_rate, timestep, "physics steps", rate=control_rate)
-        period = steps * timestep
-        if mpc_rate > control_rate:
-            raise InputError(
-                f"mpc.rate: {mpc_rate:g} Hz is faster than the controller (control.rate), {control_rate:g} Hz, which follows the "
-                f"plans; valid: the controller's rate or a whole part of it"
-            )
-        every = whole("mpc.rate", 1.0 / mpc_rate, period, "controller periods", rate=mpc_rate)
-        return cls(period, steps, every, whole("mpc.computation_delay", delay, period, "controller periods", minimum=0))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.robots import load_spec
 from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
-from wbmpc.simulation.world import Array, Edit, World, add_floor, add_light, free_body
+from wbmpc.simulation.world import Array, World, add_floor, add_light, free_body
+from wbmpc.types import Edit
 
 
 class ModelPicture:

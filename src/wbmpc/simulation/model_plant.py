@@ -12,8 +12,8 @@ from wbmpc.control.direct import InputCommand, StateMeasurement
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.simulation.model_picture import ModelPicture
-from wbmpc.simulation.world import Array, Edit, World
-from wbmpc.types import Truth
+from wbmpc.simulation.world import Array, World
+from wbmpc.types import Edit, Truth
 
 #: Length [s] of a step: nothing moves in between.
 TIMESTEP = 0.005

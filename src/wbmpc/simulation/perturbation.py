@@ -176,7 +176,10 @@ class WheeledPerturbation(InertialUnit, WheelRadii, ArmPerturbation):
 
 def perturbation_model(base_type_name: str) -> type[Perturbation]:
     """The perturbation of a base type's plants: its own model, or what all plants read."""
-    return base_type(base_type_name).perturbation() or Perturbation
+    kind = base_type(base_type_name).perturbation() or Perturbation
+    if not issubclass(kind, Perturbation):
+        raise InputError(f"base type '{base_type_name}': 'perturbation' gives '{kind.__name__}', no wb.Perturbation")
+    return kind
 
 
 @dataclass(frozen=True)

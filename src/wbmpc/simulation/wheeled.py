@@ -19,7 +19,8 @@ from wbmpc.simulation.arm import ArmPlant, span
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
 from wbmpc.simulation.perturbation import WheeledPerturbation
-from wbmpc.simulation.world import Array, Edit, add_floor, add_light, free_body, set_options
+from wbmpc.simulation.world import Array, add_floor, add_light, free_body, set_options
+from wbmpc.types import Edit
 
 #: Contact softness of the tires (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
 TIRE = [0.01, 1.0]

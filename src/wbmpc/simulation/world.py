@@ -22,8 +22,6 @@ from wbmpc.simulation.speed_torque import SpeedTorque
 
 #: Called before every physics step with (model, data): doors, terrain that moves, pushes of any kind.
 Hook = Callable[[mujoco.MjModel, mujoco.MjData], None]
-#: Changes the specification before it is compiled: blocks, cables, doors, a payload.
-Edit = Callable[[mujoco.MjSpec], None]
 
 #: Physics step [s]: 400, 80 and 50 Hz and a drive loop of 2 kHz are whole numbers of steps.
 TIMESTEP = 5e-4

@@ -26,10 +26,9 @@ from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot
 from wbmpc.simulation.arm import ArmPlant
-from wbmpc.simulation.lockstep import LONGEST_RUN, Timing
+from wbmpc.simulation.lockstep import LONGEST_RUN
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
-from wbmpc.simulation.world import Edit
 from wbmpc.tasks.figures import general_metrics, general_plots
 from wbmpc.tasks.floor_friction import FloorFrictionWatch
 from wbmpc.tasks.joint_figures import JointRecord
@@ -38,7 +37,7 @@ from wbmpc.tasks.perception import Perception, PerceptionSettings
 from wbmpc.tasks.reference_drive import arm_zeros, calibration
 from wbmpc.tasks.scene import SceneWatch, believed
 from wbmpc.tasks.settings import KinematicPlant, SimulationSettings
-from wbmpc.types import Truth
+from wbmpc.types import Edit, Timing, Truth
 
 Array = np.ndarray
 #: Rates of the controller without physics [Hz], of which the first counts that the MPC's rate is a whole part of; interval of what is

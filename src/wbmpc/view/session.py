@@ -13,7 +13,7 @@ from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.runner import RealTimeRunner
 from wbmpc.runtime.safety import RealTimeSettings
 from wbmpc.simulation.lockstep import LONGEST_STOP, Ending, Running, Watch, Watcher, run_lockstep
-from wbmpc.simulation.simulated_robot import SimulatedRobot
+from wbmpc.types import SimulatedRobot
 from wbmpc.view.live import View
 from wbmpc.view.physics import Simulated
 from wbmpc.view.realtime import RealtimeView

@@ -32,7 +32,6 @@ from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import (
     TIMESTEP,
     Array,
-    Edit,
     World,
     WorldAccess,
     add_drive,
@@ -41,7 +40,7 @@ from wbmpc.simulation.world import (
     set_options,
     unwrap,
 )
-from wbmpc.types import Truth
+from wbmpc.types import Edit, Truth
 
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]

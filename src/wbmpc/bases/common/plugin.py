@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from wbmpc.mpc.mpc import MPC
     from wbmpc.ros2.plants import RosPlant
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.simulated_robot import SimulatedRobot
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit, SimulatedRobot
 
 
 class CommonBaseType(BaseType):
@@ -49,7 +48,7 @@ class CommonBaseType(BaseType):
         edit: Edit | None = None, calibration: Calibration | None = None,
     ) -> System:  # fmt: skip
         from wbmpc.settings import COMPUTATION_DELAY, CONTROL_RATE
-        from wbmpc.simulation.lockstep import Timing
+        from wbmpc.types import Timing
 
         plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or self.mpc(robot)
         timing = Timing.of(plant.timestep, CONTROL_RATE, mpc.rate, COMPUTATION_DELAY)

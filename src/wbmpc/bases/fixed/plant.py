@@ -13,8 +13,8 @@ from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.perturbation import ArmPerturbation, Perturbation
-from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_floor, add_light, set_options
-from wbmpc.types import Truth
+from wbmpc.simulation.world import TIMESTEP, Array, World, add_floor, add_light, set_options
+from wbmpc.types import Edit, Truth
 
 
 class FixedPlant(ArmPlant):

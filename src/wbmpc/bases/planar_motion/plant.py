@@ -18,8 +18,8 @@ from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant
-from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
-from wbmpc.types import Truth
+from wbmpc.simulation.world import TIMESTEP, Array, World, add_drive
+from wbmpc.types import Edit, Truth
 
 
 class PlanarPlant(WheeledPlant):

@@ -29,8 +29,8 @@ from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation, clipped
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_slide
-from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
-from wbmpc.types import Truth
+from wbmpc.simulation.world import TIMESTEP, Array, World, add_drive
+from wbmpc.types import Edit, Truth
 
 #: Torque limits [N m] of wheel and steer drives whose effort the robot's file leaves out (Pankert et al., RA-L 2022, and its release).
 WHEEL_TORQUE, STEER_TORQUE = 40.0, 20.0

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.wheel_search import Wheel
     from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
-    from wbmpc.simulation.world import Edit
+    from wbmpc.types import Edit
 
 
 class SwerveBaseType(CommonBaseType):

@@ -18,7 +18,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.simulation.lockstep import Progress
 from wbmpc.simulation.tip import TIP_MASS, TIP_RADIUS
 from wbmpc.studies.minniti2019.door_control import FAR, DoorController
 from wbmpc.studies.minniti2019.door_figures import Trial
@@ -28,6 +28,7 @@ from wbmpc.studies.minniti2019.door_problem import EstimatedCone, FreeApproach, 
 from wbmpc.studies.minniti2019.door_settings import DOORS, DoorSettings, RezeroDoorSettings
 from wbmpc.studies.minniti2019.door_tracker import Push
 from wbmpc.studies.minniti2019.task import RezeroRecord, ball_robot, estimator_of
+from wbmpc.types import Timing
 
 _LOG = logging.getLogger("wbmpc")
 #: Where the end effector touches the panel, from the hinge; the gap before it [m].

@@ -19,13 +19,14 @@ from wbmpc.log import Log
 from wbmpc.model.augment import InputFilter
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference, frequency_aware
-from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
 from wbmpc.studies.minniti2019.frequency_settings import NotRun, RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS, RezeroRecord, ball_robot, estimator_of
+from wbmpc.types import Timing
 
 NAME = "rezero-frequency"
 SUMMARY = "torque tracking of elastic drives with and without frequency-aware MPC (Minniti et al. 2019, section III-D)"

@@ -13,12 +13,12 @@ from wbmpc.experiment import Experiment, Scenario
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.settings import ControlledSettings
 from wbmpc.studies.minniti2019.step_figures import metrics, plots
 from wbmpc.studies.minniti2019.step_goals import IMPOSSIBLE, STEADY, STEPS, target
 from wbmpc.studies.minniti2019.task import Task, ball_robot, task_scenario
+from wbmpc.types import Timing
 
 NAME = "rezero-steps"
 SUMMARY = "the ball robot takes steps of the end effector's pose, base free (Minniti et al. 2019, Fig. 4)"

@@ -27,13 +27,14 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot
 from wbmpc.robots import load_description
-from wbmpc.simulation.lockstep import Ending, Timing
+from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.baselines import Parts, make_controller
 from wbmpc.studies.minniti2019.controller_parts import MpcDisturbance, NoisyTruth, PushFilter
 from wbmpc.studies.minniti2019.controller_settings import ControllerSettings, Planner, PlanningController, WholeBodyMpc
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import ControlledSettings, RezeroSettings
 from wbmpc.tasks.joint_figures import JointRecord
+from wbmpc.types import Timing
 from wbmpc.units import force_unit
 
 IDEALIZATIONS = [

@@ -17,7 +17,7 @@ from wbmpc.bases.swerve.plant import reject_two_wheels
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Loop, Outcome, Part, Run, Scenario
 from wbmpc.result import Metric
-from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.drive_course import terrain
 from wbmpc.studies.pankert2022.drive_figures import baseline_metrics, metrics, plots
@@ -28,6 +28,7 @@ from wbmpc.studies.pankert2022.mission_run import MissionRun
 from wbmpc.studies.pankert2022.rolling import RollingController, RollingGains
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
+from wbmpc.types import Timing
 
 NAME = "swerve-drive"
 SUMMARY = (

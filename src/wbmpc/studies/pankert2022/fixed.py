@@ -21,7 +21,7 @@ from wbmpc.experiment import Experiment, Loop, Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.driving import LidarPoses
 from wbmpc.studies.pankert2022.fixed_figures import metrics, plots
@@ -30,6 +30,7 @@ from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, Rolli
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_flip import WheelFlipGuess, fast_enough
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
+from wbmpc.types import Timing
 
 NAME = "swerve-fixed"
 SUMMARY = "base motions of a swerve base with fixed legs: MPC against inverse kinematics and four-wheel steering"

@@ -22,10 +22,11 @@ from wbmpc.experiment import Loop, Outcome
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
-from wbmpc.simulation.lockstep import Progress, Timing
+from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.pankert2022.drive_missions import Knock, MissionSettings
 from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
 from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.types import Timing
 
 
 @dataclass(frozen=True)

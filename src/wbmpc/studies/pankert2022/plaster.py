@@ -18,7 +18,6 @@ from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.simulation.contacts import GROUND, OBSTACLE
-from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022 import plaster_wall as wall
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.driving import LidarPoses
@@ -26,6 +25,7 @@ from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster_figures import metrics, plots
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
+from wbmpc.types import Timing
 
 NAME = "swerve-plaster"
 SUMMARY = "five lines of 3.5 m on a wall, ten times, over cables and bumps (Pankert et al. 2022, section IV-D)"

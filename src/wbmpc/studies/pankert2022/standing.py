@@ -11,7 +11,7 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant
-from wbmpc.simulation.lockstep import Timing
+from wbmpc.types import Timing
 
 Array = NDArray[np.float64]
 

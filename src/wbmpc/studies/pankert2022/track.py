@@ -18,7 +18,6 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.metrics import in_frame, rotation_about_z
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
@@ -27,6 +26,7 @@ from wbmpc.studies.pankert2022.track_figures import SPEEDS, metrics, plots
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, swerve_robot
 from wbmpc.tasks.joint_figures import JointRecord
+from wbmpc.types import Timing
 from wbmpc.units import rate_unit
 
 NAME = "swerve-track"

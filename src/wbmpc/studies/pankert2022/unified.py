@@ -25,7 +25,6 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
-from wbmpc.simulation.lockstep import Timing
 from wbmpc.stability import StanceOf, leg_angles, region_margin, support_triangles
 from wbmpc.stability.geometry import Triangle
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
@@ -37,6 +36,7 @@ from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 from wbmpc.tasks.paths import Approach
+from wbmpc.types import Timing
 
 NAME = "swerve-unified"
 SUMMARY = "the end effector holds a world pose while the base drives 2 m, turns 90 degrees and goes from X to A"

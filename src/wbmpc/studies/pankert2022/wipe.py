@@ -17,7 +17,6 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.settings import Robot
-from wbmpc.simulation.lockstep import Timing
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.metrics import in_frame
@@ -27,6 +26,7 @@ from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 from wbmpc.studies.pankert2022.wipe_control import BEGIN, HEIGHT, WALL, Order, Wipe, WipeController
 from wbmpc.studies.pankert2022.wipe_figures import metrics, plots
 from wbmpc.studies.pankert2022.wipe_plant import Wall, WipePlant
+from wbmpc.types import Timing
 
 NAME = "swerve-wipe"
 SUMMARY = "the end effector presses on a wall of unknown place and friction while the swerve base drives along it"

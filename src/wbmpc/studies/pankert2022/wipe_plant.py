@@ -15,7 +15,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
 from wbmpc.simulation.tip import FORCE, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.wheeled import CREEP_DECAY, SLIDING_IMPEDANCE
-from wbmpc.simulation.world import Edit
+from wbmpc.types import Edit
 
 Array = np.ndarray
 #: Half the thickness and half the height of the wall [m], and how far it goes on beyond the points that say where it is [m].
