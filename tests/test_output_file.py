@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
+import shutil
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,12 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fake_experiment import FAKE, FakeSettings
 from wbmpc.errors import NotWritten
 from wbmpc.log import Log
 from wbmpc.output_file import whole_file, write_text
 from wbmpc.recording.export import export
 from wbmpc.recording.reader import read_recording
 from wbmpc.recording.writer import McapFile
+from wbmpc.report import write_run
 
 RNG = np.random.default_rng(1)
 
@@ -89,6 +93,24 @@ def test_what_is_there_stays_until_the_new_file_is_whole(name: str, tmp_path: Pa
     WRITERS[name](path)
     assert path.stat().st_size > 1000 and os.listdir(path.parent) == [name]
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("stands", ["file", "link to nowhere", "pipe"])
+def test_figures_of_a_run_are_kept_if_something_else_is_in_the_place_of_its_directory(stands: str, tmp_path: Path) -> None:
+    """It was put there while the run went on. Truth: the figure that was given."""
+    out = tmp_path / "out"
+    if stands == "file":
+        out.write_text("something else")
+    elif stands == "pipe":
+        os.mkfifo(out)
+    else:
+        out.symlink_to(tmp_path / "nowhere")
+    result = FAKE.run(FakeSettings(), 7)
+    with pytest.raises(NotWritten, match=rf"^{out}: cannot be made .*; the figures of the run are in ") as error:
+        write_run(result, out)
+    kept = Path(str(error.value).rpartition(" are in ")[2])
+    assert json.loads(kept.read_text())["metrics"]["path_length"]["value"] == 20.53
+    shutil.rmtree(kept.parent)
 
 
 def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:

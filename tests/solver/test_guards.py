@@ -237,21 +237,25 @@ class _Odd(Exception):
     pass
 
 
-@pytest.fixture
-def odd_handler():  # type: ignore[no-untyped-def]
+@pytest.fixture(params=[signal.SIGTERM, signal.SIGALRM, signal.SIGUSR1])
+def odd_handler(request: pytest.FixtureRequest):  # type: ignore[no-untyped-def]
+    """Of a signal: also of those by which programs limit their time."""
+
     def handler(number: int, frame: object) -> None:
         raise _Odd(number)
 
-    previous = signal.signal(signal.SIGTERM, handler)
-    yield handler
-    signal.signal(signal.SIGTERM, previous)
+    previous = signal.signal(request.param, handler)
+    yield request.param, handler
+    signal.signal(request.param, previous)
 
 
 @pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals are the main thread's")
-def test_what_a_handler_raises_comes_out_though_it_was_dropped(odd_handler: object) -> None:
+def test_what_a_handler_raises_comes_out_though_it_was_dropped(odd_handler: tuple[signal.Signals, object]) -> None:
+    number, handler = odd_handler
+
     def drop() -> None:
         with contextlib.suppress(_Odd):
-            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(number)
 
     with pytest.raises(_Odd), Interruptible():
         drop()
@@ -264,7 +268,7 @@ def test_what_a_handler_raises_comes_out_though_it_was_dropped(odd_handler: obje
         raise AssertionError("went on")
     with pytest.raises(ZeroDivisionError), Interruptible():
         _ = 1 / 0
-    assert signal.getsignal(signal.SIGTERM) is odd_handler
+    assert signal.getsignal(number) is handler
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

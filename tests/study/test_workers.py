@@ -54,6 +54,20 @@ def test_workers_that_are_being_started_are_started_and_ended(
     assert "wbmpc: interrupted" in capsys.readouterr().err
 
 
+def test_workers_that_cannot_start_are_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where the system gives no more processes, or their directory is gone. Truth: what Dask raises then."""
+
+    def fails(**_: object) -> None:
+        raise RuntimeError("Nanny failed to start.") from FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr("distributed.LocalCluster", fails)
+    assert main(["study", str(study(tmp_path)), "--workers", "1", "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert "--workers: the processes do not start ([Errno 2] No such file or directory)" in said and "Traceback" not in said
+
+
 def test_an_unknown_study_names_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "nowhere"]) == 2
     assert "unknown study 'nowhere'" in capsys.readouterr().err

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -208,6 +208,37 @@ def test_a_flood_of_one_page_leaves_the_server_to_others() -> None:
         assert other.hears("**Not done:**")
     finally:
         server.stop()
+
+
+def test_clicks_that_come_at_once_are_done_one_after_the_other(capfd: pytest.CaptureFixture[str]) -> None:
+    """Two pages put, change and take away the box as fast as they can. Truth: the last order, and no traceback of the server's threads."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    requests = Mailbox.shared(REQUESTS)
+    Panel(server, requests, Controls("title", (), legs=False, base=False, obstacle=True))
+    url = guard.access.url(server.get_port())
+    try:
+        pages = [Client(url), Client(url)]
+        for k in range(150):
+            for page in pages:
+                page.set("Edge [m]", 0.1 + 0.01 * (k % 100))
+                page.set("Put there", True)
+                page.set("Edge [m]", 0.2)
+                page.set("Take away", True)
+        assert all(page.alive for page in pages)
+        pages[0].set("Put there", True)
+        pages[0].set("Edge [m]", 0.75)
+        assert wait_for(lambda: (found := requests.read()) is not None and found.values["obstacle"][7] == 0.75)
+    finally:
+        server.stop()
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> bool:
+    """Whether it comes true in time."""
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return time.monotonic() < deadline
 
 
 def test_messages_that_are_right_are_no_flood_either() -> None:

@@ -164,6 +164,21 @@ def hanging_client(port: int, token: str) -> socket.socket:
     return s
 
 
+def test_a_view_whose_process_cannot_start_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the system gives no more processes. Truth: what the system says."""
+
+    def fails(process: Any) -> None:
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("multiprocessing.process.BaseProcess.start", fails)
+    view = live.View("test", port=free_port())
+    with pytest.raises(OSError, match="Resource temporarily unavailable"):
+        try:
+            view.open(run(None, 0.01)[1])
+        finally:
+            view.close()
+
+
 @pytest.mark.wallclock
 def test_a_view_that_dies_leaves_the_run_alone_even_paused() -> None:
     view = live.View("test", port=free_port())

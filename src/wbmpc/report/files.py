@@ -63,7 +63,6 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     metrics.json comes last and as a whole: where it is, all that it names is there. Raises :class:`NotWritten` naming a file that
     cannot be written; metrics.json is then in a directory for temporary files, or the message says what would be in it.
     """
-    directory.mkdir(parents=True, exist_ok=True)
     files = {
         n: str(directory / f) for n, f in (("metrics", "metrics.json"), ("log", "log.npz"), ("report", "report.html"))
     }
@@ -84,12 +83,21 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     }
     text = json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n"
     try:
+        _make(directory)
         result.log.save(Path(files["log"]))
         write_text(Path(files["report"]), page(result))
         write_text(Path(files["metrics"]), text)
     except NotWritten as error:
         raise NotWritten(f"{error}; {_elsewhere(result, text)}") from error
     return files
+
+
+def _make(directory: Path) -> None:
+    """A directory, if it is not there: another program may have put something else in its place while the run went on."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NotWritten(f"{directory}: cannot be made ({error.strerror})") from error
 
 
 def _elsewhere(result: RunResult, text: str) -> str:

@@ -9,13 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError, NotFinite
+from wbmpc.estimation.repetition import RESTS, TURNS
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import check_numbers, read_vector, seconds
 from wbmpc.ros2.settings import RosSettings, joint_groups
 
 #: A joint, or a base, may move this often its speed limit, and by this [m, rad] besides, between two messages.
 SPEED_FACTOR, SPEED_REST = 2.0, 0.05
+#: A base does not turn faster than this often its limit, or 1 rad/s, whoever drives it: a gyro that says so says nothing.
+TURN_FACTOR = 5.0
 #: So long [s] joints that go on may not have been heard where their time went back.
 _MISSED = 0.1
 #: Time that goes back by more than this [s] is of another clock: a simulator that was restarted, or a clock that was set. Less is a
@@ -28,8 +32,6 @@ _AGREE = 0.3
 LATE, LASTS = 0.03, 0.1
 #: Drives with commands above this [rad/s or m/s] turn some encoder within this time [s].
 _MOVES, _STARTS = 0.2, 0.3
-#: A gyro that says more than this [rad/s] turns, whatever its bias; one that has said less for so long [s] rests.
-_TURNS, _RESTS = 0.2, 5.0
 
 
 class Series(NamedTuple):
@@ -158,28 +160,41 @@ class JointReader:
 
 
 class Standstill:
-    """Whether joint states do not change, under new stamps, while drives have commands to move: a driver that has lost its encoders
-    repeats what it read last, and where commands lead is unknown."""
+    """Whether joint states, or those of the wheels alone, do not change, under new stamps, while drives of theirs have commands to move: a
+    driver that has lost its encoders repeats what it read last, and where commands lead is unknown."""
 
     def __init__(self) -> None:
-        self._values, self._since = np.zeros(0), np.inf
+        self._all, self._wheels = _Unchanged(), _Unchanged()
 
     def lasts(self, sample: JointSample, rates: Mapping[str, np.ndarray]) -> bool:
         """Whether it has lasted too long by the stamp of a ``sample``: states that do not come at all are another fault; ``rates``: commands
         by group [rad/s or m/s]."""
-        values = np.concatenate([*sample.groups.values()])
-        fastest = max((np.abs(rates[g]).max(initial=0.0) for g in sample.groups if g in rates), default=0.0)
-        if fastest < _MOVES or not np.array_equal(values, self._values) or sample.stamp < self._since:
-            self._since = sample.stamp
+        wheels = {WHEELS: sample.groups[WHEELS]} if WHEELS in sample.groups else {}
+        found = [u.lasts(sample.stamp, g, rates) for u, g in ((self._all, sample.groups), (self._wheels, wheels))]
+        return any(found)
+
+
+class _Unchanged:
+    """The same of some groups."""
+
+    def __init__(self) -> None:
+        self._values, self._since = np.zeros(0), np.inf
+
+    def lasts(self, stamp: float, groups: Mapping[str, np.ndarray], rates: Mapping[str, np.ndarray]) -> bool:
+        values = np.concatenate([*groups.values(), np.zeros(0)])
+        fastest = max((np.abs(rates[g]).max(initial=0.0) for g in groups if g in rates), default=0.0)
+        if fastest < _MOVES or not np.array_equal(values, self._values) or stamp < self._since:
+            self._since = stamp
         self._values = values
-        return sample.stamp - self._since > _STARTS
+        return stamp - self._since > _STARTS
 
 
 class Repetition:
-    """Joint states that repeat themselves, under new stamps, while the gyro turns: they do not say that the base stands. What comes after
-    them says where the wheels went meanwhile.
+    """Joint states whose wheels repeat themselves, under new stamps, while the gyro turns: they do not say that the base stands, also where
+    the other joints move, whose drives may be others. What comes after them says where the wheels went meanwhile.
 
-    A base that has come to rest since is believed after :data:`_RESTS`: its wheels may have been blocked while others turned it.
+    A base that has come to rest since is believed after :data:`~wbmpc.estimation.repetition.RESTS`: its wheels may have been blocked while
+    others turned it.
     """
 
     def __init__(self) -> None:
@@ -188,13 +203,15 @@ class Repetition:
 
     def goes_on(self, sample: JointSample, turning: float) -> bool:
         """Whether a ``sample`` does not count; ``turning`` [rad/s]: of the newest reading of the gyro."""
-        values = np.concatenate([*sample.groups.values()])
+        values = sample.groups.get(WHEELS, np.zeros(0))
+        if not values.size:
+            return False
         if self._values is None or not np.array_equal(values, self._values) or sample.stamp < self._since:
             self._values, self._since, self._turned = values, sample.stamp, -np.inf
             return False
-        if abs(turning) > _TURNS:
+        if abs(turning) > TURNS:
             self._turned = sample.stamp
-        return sample.stamp - self._turned < _RESTS
+        return sample.stamp - self._turned < RESTS
 
     def lasted(self, sample: JointSample) -> float:
         """Since when [s] the states of a ``sample`` are what they are."""
@@ -256,3 +273,11 @@ def by_arrivals(rate: float | None, stamps: float, arrivals: float) -> float | N
 def read_imu(message: Any) -> Inertial:
     """An Imu message; an :class:`InputError` says what is wrong with one."""
     return Inertial(read_vector(message.angular_velocity, "imu"), read_vector(message.linear_acceleration, "imu"))
+
+
+def check_turn(reading: Inertial, fastest: float) -> None:
+    """Raise :class:`InputError` for a yaw rate of more than ``fastest`` [rad/s]: one such reading beside many good ones would teach an
+    estimator a bias that the gyro does not have."""
+    rate = float(reading.gyro[2])
+    if abs(rate) > fastest:
+        raise InputError(f"imu: it turns at {rate:.3g} rad/s, faster than a base does (at most {fastest:.3g})")

@@ -20,7 +20,9 @@ from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.inertial_readings import InertialReadings
-from wbmpc.ros2.joints import OVERTAKEN, Inertial, JointReader, JointSample, Repetition, Series, Standstill, read_imu
+from wbmpc.ros2.joints import (
+    OVERTAKEN, TURN_FACTOR, Inertial, JointReader, JointSample, Repetition, Series, Standstill, check_turn, read_imu,
+)  # fmt: skip
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders
@@ -53,6 +55,8 @@ class BusRobot:
         self._wrong: dict[str, str] = {}  # what is wrong with the newest message, by topic
         self._reader = JointReader(adapter.robot, settings, adapter.must_keep_running)
         self._inertial = InertialReadings(clock, settings.safety.watchdog)
+        on_wheels = "base" in adapter.robot.input and not adapter.must_keep_running
+        self._fastest = TURN_FACTOR * max(adapter.robot.description.limits.base_angular, 1.0) if on_wheels else np.inf
         # where a back end does not know whose a message is, who would fall takes it
         topics, ambiguous = settings.topics, adapter.must_keep_running
         self._joint_source = OneSource(topics.joint_states, self._forget_joints, ambiguous)
@@ -132,6 +136,7 @@ class BusRobot:
             return
         try:
             taken, at = read_imu(message), seconds(message.header.stamp)
+            check_turn(taken, self._fastest)
             off = at - self.clock.stamp() if isinstance(self.clock, BusClock) else 0.0
             if abs(off) > self.settings.safety.watchdog and self.adapter.must_keep_running:
                 raise InputError(f"imu: its stamp is {off:.3g} s off /clock")

@@ -13,8 +13,11 @@ from typing import Any, TypeVar
 
 from wbmpc.errors import SolverBusy
 
-#: Signals whose handlers may raise: Python's own for Ctrl-C, the command line's for the others.
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Signals whose handlers may raise: Python's own for Ctrl-C, the command line's, and those of time limits and of users.
+_SIGNALS = (
+    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, signal.SIGUSR1, signal.SIGUSR2,
+    signal.SIGQUIT,
+)  # fmt: skip
 _Given = TypeVar("_Given")
 _Result = TypeVar("_Result")
 

@@ -176,10 +176,13 @@ def pool(count: int | None, scheduler: str | None) -> Iterator[Pool]:
         interrupts_blocked(),
         _threads_pinned(),
     ):  # one that is half there cannot be closed
-        cluster = LocalCluster(
-            n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
-            scheduler_kwargs=_NO_PAGES, silence_logs=logging.CRITICAL,
-        )  # fmt: skip
+        try:
+            cluster = LocalCluster(
+                n_workers=count or len(os.sched_getaffinity(0)), threads_per_worker=1, processes=True, dashboard_address=None,
+                scheduler_kwargs=_NO_PAGES, silence_logs=logging.CRITICAL,
+            )  # fmt: skip
+        except (OSError, RuntimeError) as error:  # no processes are left, or their directory is gone
+            raise RunAborted(f"--workers: the processes do not start ({error.__cause__ or error})") from error
         client = Client(cluster, set_as_default=False)
     with _closing(client, cluster):
         if interrupted():

@@ -56,9 +56,10 @@ class Window:
         ``drawer``: called there, makes what turns such messages into snapshots (left out: they are snapshots)."""
         self.shown, self.requests, self.board = Mailbox.shared(shown), Mailbox.shared(REQUESTS), Board.shared(BOARD)
         arguments = (scene.plain(), controls, self.shown, self.requests, self.board, self.access, self.port, drawer)
-        self.process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
+        process = multiprocessing.get_context("spawn").Process(target=serve, args=arguments, daemon=True)
         with interrupts_blocked():
-            self.process.start()
+            process.start()
+            self.process = process
         deadline = time.monotonic() + _START
         while not self.board["ready"] and self.process.is_alive() and time.monotonic() < deadline:
             time.sleep(0.01)

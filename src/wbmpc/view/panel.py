@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
 
@@ -78,7 +78,7 @@ class Panel:
 
     def _button(self, label: str, count: str, values: Callable[[], dict[str, Any]] = dict) -> None:
         button = self.server.gui.add_button(label)
-        button.on_click(lambda _: self._click(count, **values()))
+        button.on_click(in_order(lambda: self._click(count, **values())))
 
     # ------------------------------------------------------------------ widgets
     def _run(self) -> None:
@@ -86,10 +86,10 @@ class Panel:
         with gui.add_folder("Run"):
             if self.controls.paced:
                 pause = gui.add_checkbox("Pause", False)
-                pause.on_update(lambda _: self._send(paused=float(pause.value)))
+                pause.on_update(in_order(lambda: self._send(paused=float(pause.value))))
                 self._button("Single step", "steps")
                 speed = gui.add_slider("Speed", 0.05, 1.0, 0.05, 1.0)
-                speed.on_update(lambda _: self._send(speed=speed.value))
+                speed.on_update(in_order(lambda: self._send(speed=speed.value)))
             self._button("Reset", "resets")
             self._button("End the run", "ends")
 
@@ -99,7 +99,8 @@ class Panel:
             with gui.add_folder("Legs"):
                 if names := self.controls.configurations:
                     group = gui.add_button_group("Configuration", names)
-                    group.on_click(lambda _: self._click("configurations", configuration=names.index(group.value)))
+                    choose = lambda: self._click("configurations", configuration=names.index(group.value))
+                    group.on_click(in_order(choose))
                 self._brakes: Any = gui.add_checkbox("Brakes open", False)
                 self._brakes_clicked = -np.inf
                 self._brakes.on_update(self._click_brakes)
@@ -131,7 +132,7 @@ class Panel:
                 slider = self.server.gui.add_slider(name, -2.0, 2.0, 0.1, 0.0)
                 slider.on_update(partial(self._set_weight, i))
 
-    def _set_weight(self, i: int, event: Any) -> None:
+    async def _set_weight(self, i: int, event: Any) -> None:
         weights = self._values["weights"].copy()
         weights[i] = 10.0**event.target.value
         self._send(weights=weights)
@@ -155,18 +156,18 @@ class Panel:
         scene, gui = self.server.scene, self.server.gui
         self._box = scene.add_transform_controls("/obstacle", scale=0.4, disable_sliders=True, visible=False)
         self._box.position = AHEAD
+        cube = scene.add_box("/obstacle/cube", color=(209, 73, 91), dimensions=(1.0, 1.0, 1.0), opacity=0.6)
         with gui.add_folder("Box"):
             edge = gui.add_slider("Edge [m]", *bounds.EDGES, 0.05, 0.3)
-            gui.add_button("Put there").on_click(lambda _: put())
-            gui.add_button("Take away").on_click(lambda _: take_away())
+            gui.add_button("Put there").on_click(in_order(lambda: put()))
+            gui.add_button("Take away").on_click(in_order(lambda: take_away()))
 
         def order() -> None:
             pose = np.concatenate([self._box.position, self._box.wxyz])
             self._click("obstacles", obstacle=np.append(pose, edge.value))
 
         def put() -> None:
-            size = (edge.value,) * 3
-            scene.add_box("/obstacle/cube", color=(209, 73, 91), dimensions=size, opacity=0.6)
+            cube.dimensions = (edge.value,) * 3
             self._box.visible = True
             order()
 
@@ -178,7 +179,7 @@ class Panel:
             if self._box.visible:  # a page that is not ours may move what it does not show
                 act()
 
-        edge.on_update(lambda _: again(put))  # what is drawn is what is avoided
+        edge.on_update(in_order(lambda: again(put)))  # what is drawn is what is avoided
         self._on_drag(self._box, lambda: again(order))
 
     def _on_drag(self, handle: Any, order: Callable[[], None]) -> None:
@@ -258,6 +259,15 @@ class Panel:
         handle.visible = finite and bool(self._handles.value)
         if finite and not np.allclose(np.concatenate([handle.position, handle.wxyz]), pose, atol=1e-5):
             handle.position, handle.wxyz = pose[:3], pose[3:]
+
+
+def in_order(act: Callable[[], None]) -> Callable[[Any], Awaitable[None]]:
+    """A callback that the server waits for: others it calls in several threads, where two clicks race, and the later one may come first."""
+
+    async def called(event: Any) -> None:
+        act()
+
+    return called
 
 
 def plotted(controls: Controls) -> dict[str, tuple[_Line, ...]]:

@@ -9,6 +9,7 @@ from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.checks import finite, numbers
+from wbmpc.estimation.repetition import Repetition
 
 #: The base stands while no wheel has turned by more than this [rad] (a few counts of its encoder) for this time [s].
 STANDS, STANDS_FOR = 1e-3, 0.25
@@ -124,6 +125,7 @@ class PlanarOdometry:
         self.gyro = GyroFilter(self.wheels.of_turn(len(rates)))
         self.residual: Array = np.zeros(len(rates))
         self._last: tuple[float, Array] | None = None
+        self._repetition = Repetition()
         self._anchor: tuple[float, Array] = (0.0, np.zeros(len(rates)))  # since when the wheels are where they are
 
     def update(self, time: float, wheel: ArrayLike, yaw_rate: float | None) -> Array:
@@ -132,8 +134,13 @@ class PlanarOdometry:
         now = numbers("odometry", "wheel", wheel, len(self._rates))
         if yaw_rate is not None:
             finite("odometry", yaw_rate=yaw_rate)
+        back = self._last is not None and time < max(self._last[0], self._repetition.time)
+        if back:
+            self._repetition.forget()
+        counts, yaw_rate = self._repetition.count(time, self._time, now, yaw_rate, self.gyro.bias)
+        if not counts:
+            return self.pose
         last, self._last = self._last, (time, now)
-        back = last is not None and time < last[0]
         if last is None or back or np.max(np.abs(now - self._anchor[1])) > STANDS:
             self._anchor = (time, now)
         if last is None or time == last[0]:
@@ -165,3 +172,9 @@ class PlanarOdometry:
     def restart(self) -> None:
         """The encoders start again: the next update moves nothing."""
         self._last = None
+        self._repetition.forget()
+
+    @property
+    def _time(self) -> float:
+        """Of the last call that counted [s]; minus infinity before the first."""
+        return -np.inf if self._last is None else self._last[0]

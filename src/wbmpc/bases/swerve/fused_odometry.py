@@ -26,6 +26,7 @@ from wbmpc.bases.swerve.wheel_slip import Slip
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
+from wbmpc.estimation.repetition import Repetition
 from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import ModuleGeometry
 
@@ -83,6 +84,7 @@ class FusedOdometry:
         self._keep, self.global_poses = float(_not_negative("history", history)), LatePoses(self._memory)
         self._started, self._closed = False, np.zeros(n, dtype=bool)
         self._open: Mask = self._closed
+        self._repetition = Repetition()
         self.twist: Array = np.zeros(3)
 
     # ------------------------------------------------------------------ results
@@ -152,6 +154,7 @@ class FusedOdometry:
     def restart_clock(self) -> None:
         """Times restart: the next message only starts; what is known stays."""
         self._memory.record[0] = -np.inf
+        self._repetition.forget()
         self.global_poses.clear()
         self._started = False
 
@@ -174,6 +177,7 @@ class FusedOdometry:
         finite("odometry", t=t)
         if self._started:
             self._memory.record[0] = t - UNKNOWN_GAP
+            self._repetition.forget()
             self.global_poses.clear()
 
     @property
@@ -184,6 +188,7 @@ class FusedOdometry:
     def move_clock(self, by: float) -> None:
         """The clock's zero moves: what was at time t [s] was at t + ``by``. Raises :class:`InputError` for no finite number."""
         finite("odometry", by=by)
+        self._repetition.move_clock(by)
         for record in (self._memory.record, *(moment.record for moment in self.global_poses.past)):
             record[0] += by
 
@@ -205,7 +210,8 @@ class FusedOdometry:
         ``brake`` (n): which hinges turn freely by now (1 = open; left out: none is taken to). A leg that gives way shows where its
         wheel goes, and so the zeros. The first message only starts. After a gap (:data:`GAP`) the gyro does not count: the wheels'
         way over it moves the pose, the covariance grows (:data:`GAP_SHARE`, :data:`GAP_SPEED`), and global poses from before
-        its end no longer count. Raises :class:`InputError` for numbers that are not finite or time that goes back.
+        its end no longer count. Wheels that repeat themselves while the gyro turns wait for those that move
+        (:class:`~wbmpc.estimation.repetition.Repetition`). Raises :class:`InputError` for numbers that are not finite or time that goes back.
         """
         return self.advance(t, self._reader.checked(leg, steer, wheel), gyro, brake, weights)
 
@@ -221,7 +227,7 @@ class FusedOdometry:
         """As :meth:`update`, after true positions that :class:`WheelOdometry` with the same zeros has checked. ``velocity`` (2) [m/s]: of
         the base's origin in its axes, by an inertial unit; it counts like a part of a wheel (:data:`INERTIAL_WEIGHT`)."""
         arrays, time = self._memory.arrays, self.time
-        if not math.isfinite(t) or t < time or (gyro is not None and not math.isfinite(gyro)):
+        if not math.isfinite(t) or t < max(time, self._repetition.time) or (gyro is not None and not math.isfinite(gyro)):
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
@@ -231,6 +237,14 @@ class FusedOdometry:
         if velocity is not None:
             arrays["inertial"][:2], arrays["inertial"][2] = velocity, INERTIAL_WEIGHT
         np.concatenate(sample, out=arrays["now"])
+        counts, turning = self._repetition.count(t, time, sample[2], gyro, self.gyro_bias)
+        if velocity is not None:  # who knows it knows of wheels that stand and slide
+            counts, turning = True, gyro
+            self._repetition.forget()
+        if not counts:
+            self._open = self._open & is_open
+            return self.pose
+        gyro = turning
         if not self._started:
             self._start(t, 0.0 if gyro is None else gyro)
         elif h > 0.0:
