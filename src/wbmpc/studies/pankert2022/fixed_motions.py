@@ -14,7 +14,7 @@ from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import Robot, Settings
+from wbmpc.settings import Nothing, Robot, Settings
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.driving import DrivingSettings
@@ -32,13 +32,7 @@ SEGMENTS: dict[Name, Segment] = {
 START, PAUSE, RAMP = 1.0, 2.0, 1.0
 
 
-class NotRun(Settings):
-    """The baseline is left out."""
-
-    kind: Literal["none"] = "none"
-
-
-class IkGains(Settings):
+class BaselineGains(Settings):
     """Gains of :class:`wbmpc.studies.pankert2022.rolling.RollingGains`. ``base_gain`` [1/s]: gain of the base's pose; ``steer_gain`` [1/s]: gain
     of the steering angles; ``lead`` [s]: by which goals are read ahead, for the drives' lag; ``look_ahead`` [s]: wheels of a base at rest turn to
     a motion that begins so soon."""
@@ -50,17 +44,9 @@ class IkGains(Settings):
     look_ahead: float = Field(2.0, ge=0, le=5)
 
 
-class FourWheelGains(IkGains):
-    """Found by forward and turning, what it can do."""
-
-    base_gain: float = Field(19.1, ge=0, le=50)
-    steer_gain: float = Field(19.4, gt=0, le=100)
-    look_ahead: float = Field(1.7, ge=0, le=5)
-
-
 class SwerveFixedSettings(DrivingSettings):
     """``planned``: whether the MPC follows the motions; ``ik``: gains of rolling inverse kinematics, found on tuning seeds, or none;
-    ``four_wheel``: those of four-wheel steering. ``motions``: which, in this order, each once at most;
+    ``four_wheel``: those of four-wheel steering (by forward and turning, what it can do). ``motions``: which, in this order, each once at most;
     ``random_time`` [s]: duration of random twists after the motions (600 is the ten minutes of the protocol); ``speed`` [m/s]: the largest of them;
     ``yaw_rate`` [rad/s]: their fastest turn. The other settings are those of all experiments that drive."""
 
@@ -71,8 +57,8 @@ class SwerveFixedSettings(DrivingSettings):
     )
     robot: Robot = "swerve-fixed-ur10"
     planned: bool = True
-    ik: OneOf[NotRun | IkGains] = IkGains()
-    four_wheel: OneOf[NotRun | FourWheelGains] = FourWheelGains()
+    ik: OneOf[Nothing | BaselineGains] = BaselineGains()
+    four_wheel: OneOf[Nothing | BaselineGains] = BaselineGains(base_gain=19.1, steer_gain=19.4, look_ahead=1.7)
     motions: tuple[Name, ...] = tuple(SEGMENTS)
     random_time: float = Field(60.0, ge=0, le=3600)
     speed: float = Field(0.5, gt=0, le=1.0)
@@ -96,7 +82,7 @@ class SwerveFixedSettings(DrivingSettings):
     def controllers(self) -> list[Controller]:
         """Those that follow the motions."""
         run: dict[Controller, bool] = {
-            "mpc": self.planned, "ik": isinstance(self.ik, IkGains), "four_wheel": isinstance(self.four_wheel, IkGains),
+            "mpc": self.planned, "ik": self.ik.kind == "gains", "four_wheel": self.four_wheel.kind == "gains",
         }  # fmt: skip
         return [name for name, is_run in run.items() if is_run]
 
