@@ -174,7 +174,9 @@ def _insert(model: type[BaseModel], settings: dict[str, Any], key: str, value: A
         for parent in parents:
             usual = getattr(usual, parent, None)
         if kind is not None:  # as by default, or as any of its kind
-            tree |= (usual if type(usual) is kind and usual.kind == value else kind.model_construct()).model_dump()
+            tree |= (
+                usual if type(usual) is kind and getattr(usual, KIND) == value else kind.model_construct()
+            ).model_dump()
     tree[last] = value
 
 
