@@ -79,7 +79,7 @@ def make_rezero_mpc(rate: float) -> MPC:
     """N = 26 over 1.3 s; the references of the steps."""
     robot = load_robot("rezero")
     settings = MpcSettings(rate=rate, horizon=1.3, intervals=26, first_interval=0.0, barrier_mu=1e-2)
-    mpc = rezero_mpc(robot, settings, BALL.cost)
+    mpc = rezero_mpc(robot, settings, RezeroCost())
     home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
     set_home_references(mpc, robot, torque)
     mpc.reference["end_effector"] = Reference.poses(*rezero_poses(), hold=True)

@@ -285,6 +285,18 @@ def test_a_kind_inside_of_a_choice_is_that_of_the_choice() -> None:
         configure(Yard, ["base.drives.damping=3"], "toy")
 
 
+class Yards(Settings):
+    """The default has other numbers than its kind."""
+
+    base: OneOf[Vehicle | Crane] = Vehicle(drives=Elastic(stiffness=7.0))
+
+
+def test_a_kind_that_is_chosen_again_is_as_by_default() -> None:
+    assert configure(Yards, ["base=crane"], "toy").base == Crane()
+    for given in (["base=crane", "base=vehicle"], ["base.drives=rigid", "base.drives=elastic"]):
+        assert configure(Yards, given, "toy").base == Yards().base
+
+
 def test_what_is_left_out_of_a_choice_is_of_the_kind_by_default() -> None:
     assert Yard(base={"drives": {"stiffness": 3.0}}).base == Vehicle(drives=Elastic(stiffness=3.0))
     with pytest.raises(ValidationError, match=r"base\.vehicle\.cable"):

@@ -169,7 +169,13 @@ def _insert(model: type[BaseModel], settings: dict[str, Any], key: str, value: A
     if last == KIND and tree.get(KIND) != value:
         tree.clear()  # what is there is of another kind
         kind = _choices(model, settings, parents).get(str(value))
-        tree |= {} if kind is None else kind.model_construct().model_dump()
+        usual: Any = model()
+        for parent in parents:
+            usual = getattr(usual, parent, None)
+        if kind is not None:  # as by default, or as any of its kind
+            tree |= (
+                usual if type(usual) is kind and getattr(usual, KIND) == value else kind.model_construct()
+            ).model_dump()
     tree[last] = value
 
 

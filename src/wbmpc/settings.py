@@ -57,6 +57,12 @@ class Settings(BaseModel):
         return usual_kinds(cls, reject_booleans(cls, data))
 
 
+class Nothing(Settings):
+    """A choice that is left out."""
+
+    kind: Literal["none"] = "none"
+
+
 class MpcTiming(Settings):
     """When a closed loop plans. ``rate`` [Hz]: update rate of the MPC; ``computation_delay`` [s]: modeled computation time."""
 

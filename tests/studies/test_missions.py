@@ -230,6 +230,8 @@ def test_what_the_way_of_the_legs_does_not_read_is_rejected(legs: str, given: st
             ["calibration=file", "calibration.lidar.rate=5"],
             "calibration.lidar.rate: nothing uses it without calibration=drive",
         ),
+        ("swerve-fixed", ["ik=none", "ik.base_gain=3"], "ik.base_gain: nothing uses it without ik=gains"),
+        ("swerve-fixed", ["planned=false", "ik=none", "four_wheel=none"], "one controller at least is needed"),
         ("swerve-fixed", ["motions=[]", "random_time=0"], "motions: none is left, and random_time is 0"),
         (
             "swerve-fixed",

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.bases.ball.defaults import RezeroCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, ExpectedPush, NoDisturbance, PushedDisturbance, mpc_settings
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, ExpectedPush, PushedDisturbance, mpc_settings
 from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.settings import RosSettings, WrenchLimits
-from wbmpc.settings import MpcSettings
+from wbmpc.settings import MpcSettings, Nothing
 
 #: Of wheels on a ball [rad/s]: 3 m/s of the ball, for its description limits torques only.
 WHEEL_SPEED = 50.0
@@ -22,7 +22,7 @@ class BallRosSettings(ExpectedPush, RosSettings):
     mpc: MpcSettings = mpc_settings(barrier_mu=3e-2)
     cost: RezeroCost = STEPS_AND_PUSHES
     wrench: WrenchLimits | None = WrenchLimits()
-    disturbance: OneOf[NoDisturbance | PushedDisturbance] = PushedDisturbance()
+    disturbance: OneOf[Nothing | PushedDisturbance] = PushedDisturbance()
 
     def joint_speeds(self, robot: RobotModel, group: str) -> np.ndarray:
         """The arm's limits are limits of the state; the wheels' are guessed."""

@@ -31,12 +31,6 @@ def mpc_settings(barrier_mu: float) -> MpcSettings:
     )
 
 
-class NoDisturbance(Settings):
-    """No forces are learned."""
-
-    kind: Literal["none"] = "none"
-
-
 class EstimatedDisturbance(Settings):
     """Constant forces on base and arm are learned."""
 

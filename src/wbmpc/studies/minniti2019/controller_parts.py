@@ -63,12 +63,6 @@ class PushFilter(ExpectedPush, SensorFilter):
     """It detects pushes, too."""
 
 
-class NoPushFilter(PushFilter):
-    """Pushes are ignored."""
-
-    expected_push_time: float = Field(0.0, ge=0, le=1.0)
-
-
 class NoisyTruth(StateNoise):
     """The state from the simulator, with noise, in which all is a push."""
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Literal
 
 from wbmpc.bases.ball.defaults import BodyCost, MpcCost, RezeroCost, TorqueCost
-from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, EstimatedDisturbance, NoDisturbance
+from wbmpc.bases.ball.settings import STEPS_AND_PUSHES, EstimatedDisturbance
 from wbmpc.configuration import OneOf
-from wbmpc.settings import MpcSettings, MpcTiming, PlanSettings, Positive, Settings, UniformPlan, Weight
+from wbmpc.settings import MpcSettings, MpcTiming, Nothing, PlanSettings, Positive, Settings, UniformPlan, Weight
 from wbmpc.studies.minniti2019.controller_parts import (
     ACCURATE,
     BALL_HELD,
@@ -22,7 +22,6 @@ from wbmpc.studies.minniti2019.controller_parts import (
     HardLimits,
     MpcDisturbance,
     NoisyTruth,
-    NoPushFilter,
     PayloadDisturbance,
     PolicyTracking,
     PushFilter,
@@ -52,14 +51,30 @@ class ControllerSettings(Settings):
         return 0.0
 
 
+class Planning(ControllerSettings):
+    """``plan``: grid and solver of an MPC; ``limits``: treatment of its limits."""
+
+    plan: UniformPlan = part(UniformPlan, MPC)
+    limits: OneOf[HardLimits | SoftLimits] = HardLimits()
+
+    @property
+    def ahead(self) -> float:
+        """How far ahead it reads its references [s]."""
+        return self.plan.horizon
+
+    def planning(self, timing: MpcTiming) -> MpcSettings:
+        """The settings of its MPC in a loop with this ``timing``."""
+        return MpcSettings(**dict(timing), **dict(self.plan), limits=self.limits.kind)
+
+
 class LearningController(ControllerSettings):
     """``disturbance``: whether constant ones are estimated, or none."""
 
-    disturbance: OneOf[NoDisturbance | EstimatedDisturbance] = EstimatedDisturbance()
+    disturbance: OneOf[Nothing | EstimatedDisturbance] = EstimatedDisturbance()
 
 
-class Planner(LearningController):
-    """An MPC of the whole robot. ``plan``: its grid and its solver; ``limits``: treatment of limits, hard (:class:`HardArmLimits`) or soft."""
+class Planner(Planning, LearningController):
+    """An MPC of the whole robot."""
 
     plan: PlanSettings = part(PlanSettings, MPC)
     limits: OneOf[HardArmLimits | SoftLimits] = HardArmLimits()
@@ -70,18 +85,9 @@ class Planner(LearningController):
         return isinstance(self.disturbance, PayloadDisturbance) and self.disturbance.estimate_payload
 
     @property
-    def ahead(self) -> float:
-        """How far ahead it reads its references [s]."""
-        return self.plan.horizon
-
-    @property
     def speed_slack(self) -> float:
         """Of the limit of the arm's speeds; soft limits have none."""
         return self.limits.speed_slack if isinstance(self.limits, HardArmLimits) else HardArmLimits().speed_slack
-
-    def planning(self, timing: MpcTiming) -> MpcSettings:
-        """The settings of its MPC in a loop with this ``timing``."""
-        return MpcSettings(**dict(timing), **dict(self.plan), limits=self.limits.kind)
 
 
 class PlanningController(Planner):
@@ -98,7 +104,7 @@ class PlanningController(Planner):
 class TrackedMpc(PlanningController):
     """``tracking`` of the MPC's plans."""
 
-    disturbance: OneOf[NoDisturbance | PayloadDisturbance] = PayloadDisturbance()
+    disturbance: OneOf[Nothing | PayloadDisturbance] = PayloadDisturbance()
     tracking: Tracking = PolicyTracking()
 
 
@@ -107,7 +113,7 @@ class WholeBodyMpc(TrackedMpc):
 
     kind: Literal["mpc"] = "mpc"
     estimator: OneOf[PushFilter | NoisyTruth] = PushFilter()
-    disturbance: OneOf[NoDisturbance | MpcDisturbance] = MpcDisturbance()
+    disturbance: OneOf[Nothing | MpcDisturbance] = MpcDisturbance()
 
 
 class Regulator(LearningController):
@@ -127,13 +133,11 @@ class Regulator(LearningController):
     actuator_dead_time: DeadTime = DEAD_TIME
 
 
-class SeparateSettings(ControllerSettings):
-    """The base's MPC and the arm's joint loop. ``plan``: grid and solver of the MPC; ``limits``: treatment of its limits; ``ball``: weight
-    of the ball's position; ``ball_speed``: weight of its speed; ``tilt_rate``: weight of the tilt rate; ``wheel``: weight of the wheel
-    torques; ``pace`` [rad/s]: bandwidth of the arm's joint loop; ``integral`` [1/s]: rate of its integral part."""
+class SeparateSettings(Planning):
+    """The base's MPC and the arm's joint loop. ``ball``: weight of the ball's position; ``ball_speed``: weight of its speed; ``tilt_rate``:
+    weight of the tilt rate; ``wheel``: weight of the wheel torques; ``pace`` [rad/s]: bandwidth of the arm's joint loop; ``integral``
+    [1/s]: rate of its integral part."""
 
-    plan: UniformPlan = part(UniformPlan, MPC)
-    limits: OneOf[HardLimits | SoftLimits] = HardLimits()
     cost: SeparateCost = part(SeparateCost, STEPS_AND_PUSHES)
     ball: Weight = 30.0
     ball_speed: Weight = 3.0
@@ -143,11 +147,6 @@ class SeparateSettings(ControllerSettings):
     integral: Weight = 1.0
 
     @property
-    def ahead(self) -> float:
-        """How far ahead it reads its references [s]."""
-        return self.plan.horizon
-
-    @property
     def weights(self) -> MpcCost:
         """The weights of the base's problem."""
         gains = {n: getattr(self, n) for n in ("ball", "ball_speed", "tilt_rate")}
@@ -155,10 +154,6 @@ class SeparateSettings(ControllerSettings):
             body=BodyCost(**dict(self.cost.body), **gains), torque=TorqueCost(wheel=self.wheel),
             terminal=self.cost.terminal, lean=self.cost.lean,
         )  # fmt: skip
-
-    def planning(self, timing: MpcTiming) -> MpcSettings:
-        """The settings of its MPC in a loop with this ``timing``."""
-        return MpcSettings(**dict(timing), **dict(self.plan), limits=self.limits.kind)
 
 
 class Separate(SeparateSettings):
@@ -217,12 +212,6 @@ class Taskspace(TaskspaceSettings):
 Controller = OneOf[WholeBodyMpc | Regulator | Separate | SeparateIntegral | SeparateAware | Taskspace]
 
 
-class HeldMpc(WholeBodyMpc):
-    """Of a ball that is held."""
-
-    cost: MpcCost = part(MpcCost, BALL_HELD)
-
-
 class HeldRegulator(Regulator):
     """Of a ball that is held."""
 
@@ -246,15 +235,9 @@ class HeldSeparateAware(_Held, SeparateAware):
 
 
 #: The same with the weights of a ball that is held.
-HeldController = OneOf[HeldMpc | HeldRegulator | HeldSeparate | HeldSeparateIntegral | HeldSeparateAware | Taskspace]
-
-
-class AccurateMpc(WholeBodyMpc):
-    """Pushes are ignored."""
-
-    estimator: OneOf[NoPushFilter | NoisyTruth] = NoPushFilter()
-    limits: OneOf[HardArmLimits | SoftLimits] = HardArmLimits(speed_slack=ACCURATE.speed_slack)
-    cost: MpcCost = part(MpcCost, ACCURATE)
+HeldController = OneOf[
+    WholeBodyMpc | HeldRegulator | HeldSeparate | HeldSeparateIntegral | HeldSeparateAware | Taskspace
+]
 
 
 class AccurateRegulator(Regulator):
@@ -301,5 +284,12 @@ class AccurateSeparateAware(_Stiff, SeparateAware):
 
 #: The same with the gains of accurate tasks.
 AccurateController = OneOf[
-    AccurateMpc | AccurateRegulator | AccurateSeparate | AccurateSeparateIntegral | AccurateSeparateAware | Taskspace
+    WholeBodyMpc | AccurateRegulator | AccurateSeparate | AccurateSeparateIntegral | AccurateSeparateAware | Taskspace
 ]
+#: The MPC of a ball that is held, and that of accurate tasks, which ignores pushes.
+HELD_MPC = WholeBodyMpc(cost=part(MpcCost, BALL_HELD))
+ACCURATE_MPC = WholeBodyMpc(
+    estimator=PushFilter(expected_push_time=0.0),
+    limits=HardArmLimits(speed_slack=ACCURATE.speed_slack),
+    cost=part(MpcCost, ACCURATE),
+)

@@ -11,7 +11,7 @@ from wbmpc.bases.ball.residuals import JointEffort
 from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, residuals, sets
-from wbmpc.settings import MpcSettings, Positive, Settings, Weight
+from wbmpc.settings import MpcSettings, Nothing, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed, BodyClearance, PanelContact
@@ -46,12 +46,6 @@ class FreeWrench(Settings):
     """The paper's problem: a free wrench at the end effector, and no door."""
 
     kind: Literal["wrench"] = "wrench"
-
-
-class NoCone(Settings):
-    """Planned wrenches have any direction."""
-
-    kind: Literal["none"] = "none"
 
 
 class PushCone(Settings):
@@ -112,7 +106,7 @@ class DoorScheme(Settings):
 
     contact: OneOf[FreeWrench | DoorEquation] = DoorEquation()
     identify: bool = True
-    cone: OneOf[NoCone | PushCone | EstimatedCone] = PushCone()
+    cone: OneOf[Nothing | PushCone | EstimatedCone] = PushCone()
 
     @property
     def approach(self) -> FreeApproach | LimitedApproach:
@@ -178,7 +172,7 @@ def door_problem(
     ocp.add(Constraint("no_force", residuals.Input(robot, ["force"], reference=None), modes=("free",)))
     limit_arm(ocp, robot, settings, slack)
     limit_torques(ocp, robot, settings, cost.lean, ["wheel", "arm"])
-    if not isinstance(cone, NoCone):
+    if not isinstance(cone, Nothing):
         within = residuals.FrictionCone(robot, cone.min_push)
         penalty = RelaxedBarrier(settings.barrier_mu, 0.1)
         ocp.add(

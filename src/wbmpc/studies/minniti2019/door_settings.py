@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from wbmpc.bases.ball.defaults import ApproachCost, BodyCost, TaskCost, TorqueCost
-from wbmpc.bases.ball.settings import NoDisturbance
 from wbmpc.configuration import OneOf
+from wbmpc.settings import Nothing
 from wbmpc.studies.minniti2019.controller_parts import DEAD_TIME, DeadTime, PayloadDisturbance
 from wbmpc.studies.minniti2019.controller_settings import Planner
 from wbmpc.studies.minniti2019.door_problem import DoorScheme, PushCost, default_push_cost
@@ -30,7 +30,7 @@ FORCE_GOAL = {"light": 0.15}
 class DoorMpc(Planner):
     """``cost``: weights of a free end effector; ``actuator_dead_time`` [s]: of the drives, that the MPC's policy assumes."""
 
-    disturbance: OneOf[NoDisturbance | PayloadDisturbance] = PayloadDisturbance()
+    disturbance: OneOf[Nothing | PayloadDisturbance] = PayloadDisturbance()
     cost: TaskCost = TaskCost(
         end_effector=ApproachCost(weight=300.0, orientation=30.0, limit=0.05, twist=1.0, angular=0.05),
         body=BodyCost(ball_speed=1.0, tilt_rate=5.0, arm=1.0),

@@ -19,11 +19,12 @@ from wbmpc.log import Log
 from wbmpc.model.augment import InputFilter
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference, frequency_aware
+from wbmpc.settings import Nothing
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.frequency_control import FrequencyAwareController
 from wbmpc.studies.minniti2019.frequency_figures import metrics, plots
-from wbmpc.studies.minniti2019.frequency_settings import NotRun, RezeroFrequencySettings
+from wbmpc.studies.minniti2019.frequency_settings import RezeroFrequencySettings
 from wbmpc.studies.minniti2019.metrics import append_as, fault_metrics
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS, RezeroRecord, ball_robot, estimator_of
 from wbmpc.types import Timing
@@ -42,7 +43,7 @@ def frequency_mpc(settings: RezeroFrequencySettings, shaped: bool) -> MPC:
     """The MPC of the ball robot, with or without filters on its torques."""
     f, cost, robot = settings.shaped, settings.controller.weights, ball_robot(settings)
     planning = settings.controller.planning(settings.mpc)
-    if not shaped or isinstance(f, NotRun):
+    if not shaped or isinstance(f, Nothing):
         return MPC(rezero_problem(robot, planning, cost), planning.solver(), planning.rate)
     torque = cost.torque.model_copy(
         update={"wheel": f.wheel_weight * cost.torque.wheel, "arm": f.arm_weight * cost.torque.arm}

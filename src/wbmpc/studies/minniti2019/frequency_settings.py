@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from wbmpc.bases.ball.perturbation import BallHardware, SeriesElasticDrives
 from wbmpc.configuration import OneOf
-from wbmpc.settings import Positive, Settings, Weight
+from wbmpc.settings import Nothing, Positive, Settings, Weight
 from wbmpc.studies.minniti2019.controller_settings import PlanningController
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 
@@ -21,12 +21,6 @@ ELASTIC = BallHardware(drives=SeriesElasticDrives(), actuator_time_constant=0.0)
 
 
 _Step = Annotated[float, Field(ge=-1, le=1)]
-
-
-class NotRun(Settings):
-    """The variant is left out."""
-
-    kind: Literal["none"] = "none"
 
 
 class FilterSettings(Settings):
@@ -56,7 +50,7 @@ class RezeroFrequencySettings(RezeroSettings):
     hold_time: float = Field(5.0, ge=1.0, le=60.0)
     preview: bool = True
     plain: bool = True
-    shaped: OneOf[NotRun | FilterSettings] = FilterSettings()
+    shaped: OneOf[Nothing | FilterSettings] = FilterSettings()
 
     @property
     def variants(self) -> list[str]:

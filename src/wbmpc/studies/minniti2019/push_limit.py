@@ -18,7 +18,7 @@ from wbmpc.experiment import Experiment, defined
 from wbmpc.log import Log
 from wbmpc.result import Metric, RunResult
 from wbmpc.simulation.lockstep import Progress
-from wbmpc.studies.minniti2019.controller_settings import HeldController, HeldMpc
+from wbmpc.studies.minniti2019.controller_settings import HELD_MPC, HeldController
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
 from wbmpc.studies.minniti2019.push import IDEALIZATIONS
 from wbmpc.studies.minniti2019.push_once import Outcome, push_once
@@ -44,7 +44,7 @@ class BallLimitSettings(HandLimitSettings):
     """The ball is held: the weights of `rezero-push-ball`."""
 
     held: ClassVar[str] = "ball"
-    controller: HeldController = HeldMpc()
+    controller: HeldController = HELD_MPC
 
 
 def largest(passes: Callable[[float], bool], resolution: float) -> float:

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Self
 from pydantic import Field, model_validator
 
 from wbmpc.checks import whole
-from wbmpc.studies.minniti2019.controller_settings import HeldController, HeldMpc
+from wbmpc.studies.minniti2019.controller_settings import HELD_MPC, HeldController
 from wbmpc.studies.minniti2019.recovery import LAST
 from wbmpc.studies.minniti2019.settings import ControlledSettings
 
@@ -60,4 +60,4 @@ class RezeroPushBallSettings(RezeroPushHandSettings):
     """The ball is held and, of the end effector, only its orientation (the paper's first task); otherwise the same weights."""
 
     held: ClassVar[str] = "ball"
-    controller: HeldController = HeldMpc()
+    controller: HeldController = HELD_MPC

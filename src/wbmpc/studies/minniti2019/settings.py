@@ -8,8 +8,8 @@ from wbmpc.bases.ball.perturbation import BallHardware, BallPerturbation
 from wbmpc.settings import ACTUATOR_TIME_CONSTANT, ControlSettings, MpcTiming, Robot, Settings
 from wbmpc.studies.minniti2019.controller_parts import MPC, NoisyTruth, part
 from wbmpc.studies.minniti2019.controller_settings import (
+    ACCURATE_MPC,
     AccurateController,
-    AccurateMpc,
     Controller,
     ControllerSettings,
     WholeBodyMpc,
@@ -47,4 +47,4 @@ class AccurateSettings(ControlledSettings):
     """An end effector that is led accurately while the ball has a place of its own: stiff weights, for references that move slowly; so have
     the baselines."""
 
-    controller: AccurateController = AccurateMpc()
+    controller: AccurateController = ACCURATE_MPC

@@ -17,28 +17,16 @@ from wbmpc.configuration import OneOf
 from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import ACTUATOR_TIME_CONSTANT, Settings
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, Nothing, Settings
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.settings import ExperimentSettings, LidarSettings
 from wbmpc.studies.pankert2022.reference_drive import calibrated, track_arm
-
-
-class OdometryAlone(Settings):
-    """No global poses."""
-
-    kind: Literal["none"] = "none"
 
 
 class LidarPoses(LidarSettings):
     """The poses of a simulated LIDAR beside the odometry."""
 
     kind: Literal["lidar"] = "lidar"
-
-
-class NoCalibration(Settings):
-    """Nothing is known of the wheels but their nominal geometry."""
-
-    kind: Literal["none"] = "none"
 
 
 class DriveCalibration(Settings):
@@ -65,8 +53,8 @@ class DrivingSettings(ExperimentSettings):
 
     plant: SwervePerturbation = SwervePerturbation()
     use_gyro: bool = True
-    calibration: OneOf[NoCalibration | DriveCalibration | FileCalibration] = DriveCalibration()
-    localization: OneOf[OdometryAlone | LidarPoses] = OdometryAlone()
+    calibration: OneOf[Nothing | DriveCalibration | FileCalibration] = DriveCalibration()
+    localization: OneOf[Nothing | LidarPoses] = Nothing()
     tracked_poses: int = Field(0, ge=0, le=1000)
     settle_time: float = Field(20.0, ge=0, le=120)
     actuator_time_constant: float = Field(ACTUATOR_TIME_CONSTANT, ge=0, le=0.5)

@@ -67,7 +67,7 @@ def baseline(kind: type[RollingController], name: Controller) -> Make:
         r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, p: Motion, known: EstimatorSettings
     ) -> SwerveController:
         aims = lambda t: goals(p, t, legs_at_home(r))
-        gains = RollingGains(**getattr(s, name).model_dump(), delay=s.mpc.computation_delay)
+        gains = RollingGains(**getattr(s, name).model_dump(exclude={"kind"}), delay=s.mpc.computation_delay)
         return kind(r, pose, period, aims, gains, estimation=known)
 
     return make

@@ -10,10 +10,11 @@ from pydantic import Field, model_validator
 
 from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, SwerveCost
 from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import Robot, Settings
+from wbmpc.settings import Nothing, Robot, Settings
 from wbmpc.studies.base_path import BasePath, Segment, in_turn, random_twists
 from wbmpc.studies.pankert2022.directions import reject_directions
 from wbmpc.studies.pankert2022.driving import DrivingSettings
@@ -36,15 +37,16 @@ class BaselineGains(Settings):
     of the steering angles; ``lead`` [s]: by which goals are read ahead, for the drives' lag; ``look_ahead`` [s]: wheels of a base at rest turn to
     a motion that begins so soon."""
 
-    base_gain: float = Field(ge=0, le=50)
-    steer_gain: float = Field(gt=0, le=100)
+    kind: Literal["gains"] = "gains"
+    base_gain: float = Field(12.0, ge=0, le=50)
+    steer_gain: float = Field(30.0, gt=0, le=100)
     lead: float = Field(0.0, ge=0, le=0.5)
-    look_ahead: float = Field(ge=0, le=5)
+    look_ahead: float = Field(2.0, ge=0, le=5)
 
 
 class SwerveFixedSettings(DrivingSettings):
-    """``controllers``: which follow the motions, each once at most; ``ik``, ``four_wheel``: gains of the baselines, found on tuning
-    seeds (four wheels: by forward and turning, what it can do). ``motions``: which, in this order, each once at most;
+    """``planned``: whether the MPC follows the motions; ``ik``: gains of rolling inverse kinematics, found on tuning seeds, or none;
+    ``four_wheel``: those of four-wheel steering (by forward and turning, what it can do). ``motions``: which, in this order, each once at most;
     ``random_time`` [s]: duration of random twists after the motions (600 is the ten minutes of the protocol); ``speed`` [m/s]: the largest of them;
     ``yaw_rate`` [rad/s]: their fastest turn. The other settings are those of all experiments that drive."""
 
@@ -54,9 +56,9 @@ class SwerveFixedSettings(DrivingSettings):
         input=InputCost(base=5.0),
     )
     robot: Robot = "swerve-fixed-ur10"
-    controllers: tuple[Controller, ...] = Field(("mpc", "ik", "four_wheel"), min_length=1)
-    ik: BaselineGains = BaselineGains(base_gain=12.0, steer_gain=30.0, look_ahead=2.0)
-    four_wheel: BaselineGains = BaselineGains(base_gain=19.1, steer_gain=19.4, look_ahead=1.7)
+    planned: bool = True
+    ik: OneOf[Nothing | BaselineGains] = BaselineGains()
+    four_wheel: OneOf[Nothing | BaselineGains] = BaselineGains(base_gain=19.1, steer_gain=19.4, look_ahead=1.7)
     motions: tuple[Name, ...] = tuple(SEGMENTS)
     random_time: float = Field(60.0, ge=0, le=3600)
     speed: float = Field(0.5, gt=0, le=1.0)
@@ -65,13 +67,24 @@ class SwerveFixedSettings(DrivingSettings):
     @model_validator(mode="after")
     def _something_to_compare(self) -> Self:
         """A base that is asked nothing compares no controllers; of a motion twice the figures would be of the second alone."""
+        if not self.controllers:
+            raise ValueError(
+                "planned: one controller at least is needed; valid: planned=true, ik=gains or four_wheel=gains"
+            )
         if not self.motions and self.random_time == 0.0:
             raise ValueError("motions: none is left, and random_time is 0: there is nothing to follow")
-        for key, names in (("motions", self.motions), ("controllers", self.controllers)):
-            twice = [name for k, name in enumerate(names) if name in names[:k]]
-            if twice:
-                raise ValueError(f"{key}: '{twice[0]}' appears twice; valid: each once at most")
+        twice = [name for k, name in enumerate(self.motions) if name in self.motions[:k]]
+        if twice:
+            raise ValueError(f"motions: '{twice[0]}' appears twice; valid: each once at most")
         return self
+
+    @property
+    def controllers(self) -> list[Controller]:
+        """Those that follow the motions."""
+        run: dict[Controller, bool] = {
+            "mpc": self.planned, "ik": self.ik.kind == "gains", "four_wheel": self.four_wheel.kind == "gains",
+        }  # fmt: skip
+        return [name for name, is_run in run.items() if is_run]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from wbmpc.configuration import OneOf
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.settings import Robot
-from wbmpc.studies.pankert2022.driving import DrivingSettings, LidarPoses, OdometryAlone
+from wbmpc.settings import Nothing, Robot
+from wbmpc.studies.pankert2022.driving import DrivingSettings, LidarPoses
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.tasks.paths import Approach
 
@@ -45,7 +45,7 @@ class SwervePlasterSettings(DrivingSettings):
     robot: Robot = "swerve-ur10"
     passes: int = Field(10, ge=1, le=50)
     speed: float = Field(0.7, gt=0.05, le=0.9)
-    localization: OneOf[OdometryAlone | LidarPoses] = LidarPoses()
+    localization: OneOf[Nothing | LidarPoses] = LidarPoses()
     terrain: bool = True
 
 
