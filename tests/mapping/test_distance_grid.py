@@ -81,9 +81,9 @@ def test_balls_are_nearest_where_samples_say(layer: float) -> None:
     turn, ball, center = np.eye(3), np.full((5, 2, 2), -1), np.zeros((5, 12, 3))
     distance, normal, limit = np.full((5, 2, 2), 9.0), np.zeros((5, 2, 2, 3)), 9.0
     grid_step.nearest(
-        5, 2, 12, 2, frame, local.ravel(), radius, position.ravel(), np.tile(turn, (5, 2, 1, 1)).ravel(), 30, 30, 12, 0.1, layer,
-        np.asarray(grid.values).ravel(), np.asarray(grid.origin), turn.ravel(), distance.ravel(), normal.ravel(),
-        ball.ravel(), center.ravel(),
+        5, 2, 12, 2, grid_step.Balls(frame, local.ravel(), radius), position.ravel(), np.tile(turn, (5, 2, 1, 1)).ravel(),
+        grid_step.Grid(30, 30, 12, 0.1, layer, np.asarray(grid.values).ravel(), np.asarray(grid.origin), turn.ravel()),
+        grid_step.Sides(distance.ravel(), normal.ravel(), ball.ravel(), center.ravel()),
     )  # fmt: skip
     value, slope = grid.sample((position[:, frame] + local).reshape(-1, 3))
     value, slope = value.reshape(5, 12) + ERROR * 0.1 - radius, slope.reshape(5, 12, 3)

@@ -20,6 +20,7 @@ from wbmpc.ocp.symbols import Symbols
 from wbmpc.robots import load_spec
 from wbmpc.settings import SupportMarginSettings
 from wbmpc.stability import GRAVITY, StanceOf
+from wbmpc.stability import robot as stability_robot
 
 HALF, MAST, WIDE = 0.3, 0.8, 0.25
 CORNERS = [((x, y), (0.0, 1.0, 0.0)) for x in (HALF, -HALF) for y in (WIDE, -WIDE)]
@@ -30,6 +31,13 @@ def rows(robot: RobotModel, term: residuals.Residual) -> ca.Function:
     x, u, r = (ca.SX.sym(n, k) for n, k in (("x", robot.state.size), ("u", robot.input.size), ("r", term.reference)))
     none = ca.SX(0, 1)
     return ca.Function("rows", [x, u, r], [ca.densify(term(Symbols(x, u, none, none, r, x, u)))])
+
+
+def test_a_problem_compiles_the_stances_of_its_robot_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, numeric = [], stability_robot.Numeric
+    monkeypatch.setattr(stability_robot, "Numeric", lambda function: made.append(function) or numeric(function))
+    default_problem(load_robot("fetch"))
+    assert len(made) == 1
 
 
 @pytest.mark.parametrize("name", ["fetch", "pr2", "vega"])

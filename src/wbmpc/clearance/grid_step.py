@@ -6,6 +6,8 @@ stands left and right of a frame is then known at once.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.clearance.compilation import compiled
@@ -17,9 +19,40 @@ FLAT, SAME, BEYOND = 0.1, 0.5, 1e30
 DROP = 3.5
 
 
+class Balls(NamedTuple):
+    """Balls about a robot's frames."""
+
+    frame_of: Integers  # (b)
+    local: Floats  # (b, 3) [m], in axes of their frames
+    radius: Floats  # (b) [m]
+
+
+class Grid(NamedTuple):
+    """Distances at cells."""
+
+    nx: int
+    ny: int
+    nz: int
+    cell: float  # [m]
+    layer: float  # [m], between cells along z
+    values: Floats  # (nx, ny, nz) [m]
+    place: Floats  # (3) [m], of cell (0, 0, 0)
+    turn: Floats  # (3, 3), the grid's axes
+
+
+class Sides(NamedTuple):
+    """What is nearest by state, frame and side; limits of ``distance`` come in it."""
+
+    distance: Floats  # (n, F, sides) [m]
+    normal: Floats  # (n, F, sides, 3)
+    ball: Integers  # (n, F, sides), -1: none
+    center: Floats  # (n, b, 3) [m], of the balls
+
+
 @compiled
-def corner(x: float, y: float, z: float, nx: int, ny: int, nz: int) -> int:
+def corner(grid: Grid, x: float, y: float, z: float) -> int:
     """Where the values of the cell around a point (in cells) begin; -1 outside of the grid."""
+    nx, ny, nz = grid.nx, grid.ny, grid.nz
     if not (x >= 0.0 and y >= 0.0 and z >= 0.0 and x <= nx - 1.0 and y <= ny - 1.0 and z <= nz - 1.0):
         return -1
     i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
@@ -27,10 +60,9 @@ def corner(x: float, y: float, z: float, nx: int, ny: int, nz: int) -> int:
 
 
 @compiled
-def trilinear(
-    at: int, x: float, y: float, z: float, nx: int, ny: int, nz: int, values: Floats
-) -> tuple[float, float, float, float]:
+def trilinear(grid: Grid, at: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Value and slopes (per cell) at a point (in cells), in the cell whose values begin ``at``."""
+    nx, ny, nz, values = grid.nx, grid.ny, grid.nz, grid.values
     u, v, w = x - float(min(int(x), nx - 2)), y - float(min(int(y), ny - 2)), z - float(min(int(z), nz - 2))
     a = at + ny * nz
     l00, l01 = values[at] * (1.0 - w) + values[at + 1] * w, values[at + nz] * (1.0 - w) + values[at + nz + 1] * w
@@ -43,11 +75,9 @@ def trilinear(
 
 
 @compiled
-def insert_ball(
-    side: int, row: int, d: float, nx: float, ny: float, nz: float, b: int, distance: Floats, normal: Floats,
-    ball: Integers,
-) -> None:  # fmt: skip
+def insert_ball(found: Sides, side: int, row: int, b: int, d: float, nx: float, ny: float, nz: float) -> None:
     """A ball at distance ``d`` with its normal, where it is nearer than the entry ``row + side`` and of another side than those before."""
+    distance, normal, ball = found.distance, found.normal, found.ball
     if d >= distance[row + side]:
         return
     for s in range(side):
@@ -61,22 +91,25 @@ def insert_ball(
 
 @compiled
 def nearest(
-    n: int, frames: int, balls: int, sides: int, frame_of: Integers, local: Floats, radius: Floats, position: Floats,
-    rotation: Floats, nx: int, ny: int, nz: int, cell: float, layer: float, values: Floats, place: Floats, turn: Floats,
-    distance: Floats, normal: Floats, ball: Integers, center: Floats,
-) -> None:  # fmt: skip
-    """By state, frame and side the nearest of the balls at ``local`` (b, 3) of their frames with ``radius`` (b).
-
-    Cell (0, 0, 0) is at ``place`` (3), the grid's axes are ``turn`` (3, 3), along whose z cells are ``layer`` [m] apart. In
-    ``distance`` (n, F, sides) [m] come limits and go results;
-    ``normal`` (n, F, sides, 3), ``ball`` (n, F, sides; -1: none), ``center`` (n, b, 3): of the balls.
-    """
+    n: int,
+    frames: int,
+    count: int,
+    sides: int,
+    balls: Balls,
+    position: Floats,
+    rotation: Floats,
+    grid: Grid,
+    found: Sides,
+) -> None:
+    """Of n states, by frame and side, the nearest of ``count`` balls; frames at ``position`` (n, F, 3) with ``rotation`` (n, F, 3, 3)."""
+    frame_of, local, radius, center = balls.frame_of, balls.local, balls.radius, found.center
+    cell, layer, values, place, turn = grid.cell, grid.layer, grid.values, grid.place, grid.turn
     for side in range(sides):
         for k in range(n):
-            for b in range(balls):
-                at, c = k * frames + frame_of[b], 3 * (k * balls + b)
+            for b in range(count):
+                at, c = k * frames + frame_of[b], 3 * (k * count + b)
                 row = at * sides
-                if side > 0 and ball[row] < 0:
+                if side > 0 and found.ball[row] < 0:
                     continue
                 for i in range(3):
                     r = 9 * at + 3 * i
@@ -90,17 +123,16 @@ def nearest(
                 gx = (turn[0] * x + turn[3] * y + turn[6] * z) / cell
                 gy = (turn[1] * x + turn[4] * y + turn[7] * z) / cell
                 gz = (turn[2] * x + turn[5] * y + turn[8] * z) / layer
-                first = corner(gx, gy, gz, nx, ny, nz)
-                if first < 0 or values[first] - DROP * cell - radius[b] >= distance[row + side]:
+                first = corner(grid, gx, gy, gz)
+                if first < 0 or values[first] - DROP * cell - radius[b] >= found.distance[row + side]:
                     continue
-                d, sx, sy, sz = trilinear(first, gx, gy, gz, nx, ny, nz, values)
+                d, sx, sy, sz = trilinear(grid, first, gx, gy, gz)
                 sz = sz * cell / layer
                 steep = np.sqrt(sx * sx + sy * sy + sz * sz)
                 if steep > FLAT * cell:
                     insert_ball(
-                        side, row, d - radius[b],
+                        found, side, row, b, d - radius[b],
                         (turn[0] * sx + turn[1] * sy + turn[2] * sz) / steep,
                         (turn[3] * sx + turn[4] * sy + turn[5] * sz) / steep,
                         (turn[6] * sx + turn[7] * sy + turn[8] * sz) / steep,
-                        b, distance, normal, ball,
                     )  # fmt: skip

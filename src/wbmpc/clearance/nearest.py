@@ -169,12 +169,13 @@ class Finder:
         error, center = float(shape.error or 0.0), np.empty((n, len(frame), 3))
         distance, normal = np.ascontiguousarray(below + error), np.zeros((*below.shape, 3))
         origin = place[0] + turn @ np.asarray(shape.origin, float)
-        arrays = (frame, local, radius, position, poses.rotation)
+        flat = lambda *arrays: [np.ascontiguousarray(a).reshape(-1) for a in arrays]
+        balls = grid_step.Balls(*flat(frame, local, radius))
+        cells = (*values.shape, float(shape.cell), float(shape.layer or shape.cell))
         nearest: Any = grid_step.nearest
         nearest(
-            n, frames, len(frame), sides, *(np.ascontiguousarray(a).reshape(-1) for a in arrays), *values.shape,
-            float(shape.cell), float(shape.layer or shape.cell), values.reshape(-1), origin, np.ascontiguousarray(turn).reshape(-1),
-            distance.reshape(-1), normal.reshape(-1), ball.reshape(-1), center.reshape(-1),
+            n, frames, len(frame), sides, balls, *flat(position, poses.rotation), grid_step.Grid(*cells, *flat(values, origin, turn)),
+            grid_step.Sides(*(a.reshape(-1) for a in (distance, normal, ball, center))),
         )  # fmt: skip
         k, f, s = np.nonzero(ball >= 0)
         b, o = ball[k, f, s], which.start + s

@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.clearance.compilation import step
-from wbmpc.clearance.pairs_step import Gaps, nearest_own, place_solids
+from wbmpc.clearance.compilation import compiled, step
+from wbmpc.clearance.gap_step import gap
+from wbmpc.clearance.pairs_step import Gaps, bound, place_solids, write_gap
+from wbmpc.clearance.simplex_step import Work
 from wbmpc.clearance.support_step import Solids
 from wbmpc.clearance.table import SolidTable
 from wbmpc.kernel.function import CompiledFunction
@@ -51,11 +53,41 @@ class Places(NamedTuple):
     touching: Integers  # (n · pairs)
 
 
+@compiled
+def nearest_own(n: int, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, work: Floats) -> int:
+    """Of the pairs of a robot's own solids, each of one of the rows, what is nearer than the ``distance`` (n, rows) of ``gaps`` on entry.
+    How many touch: their numbers k · pairs + pair are in ``touching``."""
+    place, axes, touching = at_states.place, at_states.axes, at_states.touching
+    shapes, rows, pairs, touch = parts.shapes, parts.rows, parts.pairs, 0
+    for j in range(pairs):
+        a, b = parts.one[j], parts.two[j]
+        for c in range(3):
+            work[Work.V + c] = 0.0
+        for k in range(n):
+            i = k * rows + parts.row_of[j]
+            limit = gaps.distance[i]
+            pa, pb = k * shapes + a, k * shapes + b
+            if bound(solids, a, b, place, 3 * pa, axes, 9 * pa, place, 3 * pb, limit) >= limit:
+                continue
+            if bound(solids, b, a, place, 3 * pb, axes, 9 * pb, place, 3 * pa, limit) >= limit:
+                continue
+            d = gap(
+                solids, a, b, place=place, pa=3 * pa, axes=axes, ra=9 * pa, others=place, pb=3 * pb, turns=axes, rb=9 * pb, limit=limit,
+                work=work,
+            )  # fmt: skip
+            if d == -np.inf:
+                touching[touch] = k * pairs + j
+                touch += 1
+            elif d < limit:
+                write_gap(solids, gaps, a, b, place, 3 * pa, d, i, work)
+    return touch
+
+
 @step
 def measure(
     n: int, reach: float, states: Floats, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, work: Floats
 ) -> int:
-    """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`~wbmpc.clearance.pairs_step.nearest_own` within
+    """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`nearest_own` within
     ``reach`` [m]: how many pairs touch."""
     address, nx, all_frames, frames, shapes, rows = (
         parts.address,
@@ -81,11 +113,7 @@ def measure(
     )
     for i in range(n * rows):
         gaps.distance[i] = reach
-    _compared, touch = nearest_own(
-        n=n, shapes=shapes, rows=rows, pairs=parts.pairs, solids=solids, gaps=gaps, row_of=parts.row_of, one=parts.one,
-        two=parts.two, place=at_states.place, axes=at_states.axes, touching=at_states.touching, work=work,
-    )  # fmt: skip
-    return touch
+    return nearest_own(n, parts, at_states, solids, gaps, work)
 
 
 @step

@@ -104,6 +104,17 @@ class Gaps(NamedTuple):
     other: Floats
 
 
+class Around(NamedTuple):
+    """A robot's solids at n states, and others."""
+
+    frame_of: Integers  # (s)
+    place: Floats  # (n, s, 3) [m]
+    axes: Floats  # (n, s, 3, 3)
+    others: Floats  # (n, o, 3) [m]
+    turns: Floats  # (o, 3, 3)
+    touching: Integers  # (n · s · o), which pairs touch
+
+
 @compiled
 def place_solids(
     n: int, shapes: int, frames: int, frame_of: Integers, local: Floats, turn: Floats, position: Floats, rotation: Floats,
@@ -157,13 +168,13 @@ def write_gap(
 
 @compiled
 def nearest(
-    n: int, shapes: int, frames: int, others_count: int, solids: Solids, gaps: Gaps, frame_of: Integers, place: Floats,
-    axes: Floats, others: Floats, turns: Floats, touching: Integers, work: Floats,
-) -> tuple[int, int]:  # fmt: skip
+    n: int, shapes: int, frames: int, others_count: int, solids: Solids, gaps: Gaps, around: Around, work: Floats
+) -> tuple[int, int]:
     """Of each of n states, ``frames`` and ``others_count`` others, numbered after the robot's ``shapes``: what is nearer than the
-    ``distance`` (n, f, o) of ``gaps`` on entry. ``others`` (n, o, 3), ``turns`` (o, 3, 3). How many pairs were compared, and how many
-    of them touch: their numbers (k · shapes + s) · others_count + o are in ``touching``."""
-    compared, touch = 0, 0
+    ``distance`` (n, f, o) of ``gaps`` on entry. How many pairs were compared, and how many of them touch: their numbers
+    (k · shapes + s) · others_count + o are in ``touching``."""
+    frame_of, place, axes, touching = around.frame_of, around.place, around.axes, around.touching
+    others, turns, compared, touch = around.others, around.turns, 0, 0
     for o in range(others_count):
         for s in range(shapes):
             b, rb = shapes + o, 9 * o
@@ -184,37 +195,4 @@ def nearest(
                     touch += 1
                 elif d < limit:
                     write_gap(solids, gaps, s, b, place, pa, d, i, work)
-    return compared, touch
-
-
-@compiled
-def nearest_own(
-    n: int, shapes: int, rows: int, pairs: int, solids: Solids, gaps: Gaps, row_of: Integers, one: Integers, two: Integers,
-    place: Floats, axes: Floats, touching: Integers, work: Floats,
-) -> tuple[int, int]:  # fmt: skip
-    """The same of ``pairs`` of a robot's solids ``one`` and ``two``, each of one of the ``rows``: ``distance`` (n, rows). Numbers of those
-    that touch: k · pairs + pair."""
-    compared, touch = 0, 0
-    for j in range(pairs):
-        a, b = one[j], two[j]
-        for c in range(3):
-            work[Work.V + c] = 0.0
-        for k in range(n):
-            i = k * rows + row_of[j]
-            limit = gaps.distance[i]
-            pa, pb = k * shapes + a, k * shapes + b
-            if bound(solids, a, b, place, 3 * pa, axes, 9 * pa, place, 3 * pb, limit) >= limit:
-                continue
-            if bound(solids, b, a, place, 3 * pb, axes, 9 * pb, place, 3 * pa, limit) >= limit:
-                continue
-            compared += 1
-            d = gap(
-                solids, a, b, place=place, pa=3 * pa, axes=axes, ra=9 * pa, others=place, pb=3 * pb, turns=axes, rb=9 * pb, limit=limit,
-                work=work,
-            )  # fmt: skip
-            if d == -np.inf:
-                touching[touch] = k * pairs + j
-                touch += 1
-            elif d < limit:
-                write_gap(solids, gaps, a, b, place, 3 * pa, d, i, work)
     return compared, touch

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.clearance import pairs_step
-from wbmpc.clearance.pairs_step import Gaps
+from wbmpc.clearance.pairs_step import Around, Gaps
 from wbmpc.clearance.simplex_step import Work
 from wbmpc.clearance.support_step import Solids
 from wbmpc.kernel.step import Backend
@@ -61,7 +61,8 @@ class SolidTable:
         self._work = np.zeros(Work.SIZE)
         compiled = backend == "compiled"
         steps: Any = (pairs_step.place_solids, pairs_step.nearest)
-        self._put, self._nearest = (_flat(f if compiled else f.interpreted) for f in steps)
+        put, self._nearest = (f if compiled else f.interpreted for f in steps)
+        self._put = _flat(put)
         self._fill()
 
     def _fill(self) -> None:
@@ -109,9 +110,8 @@ class SolidTable:
         touching = np.empty(n * s * count, np.int64)
         solids = Solids(self._kind, self._size, self._around, self._first, self._vertices)
         gaps = Gaps(*(a.reshape(-1) for a in (out.distance, out.normal, out.own, out.other)))
-        compared, touch = self._nearest(
-            n, s, frames, count, solids, gaps, self._frame_of, place, axes, places, turns, touching, self._work
-        )
+        flat: list[Any] = [a.reshape(-1) for a in (self._frame_of, place, axes, places, turns, touching)]
+        compared, touch = self._nearest(n, s, frames, count, solids, gaps, Around(*flat), self._work)
         if touch:
             k, a, o = np.unravel_index(touching[:touch], (n, s, count))
         if touch and not deep:

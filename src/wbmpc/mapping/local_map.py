@@ -14,7 +14,7 @@ from wbmpc.errors import InputError, SensorFailure
 from wbmpc.kernel.ir import LANES, Floats, Integers
 from wbmpc.mapping.compilation import compiled
 from wbmpc.mapping.distances import ERROR, DistanceTransform
-from wbmpc.mapping.rays_step import FREE, OCCUPIED, OWN, SOLID, add_scan, settle
+from wbmpc.mapping.rays_step import FREE, OCCUPIED, OWN, SOLID, Cells, add_scan, settle
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.shapes import LARGEST, MAX_CELLS, DistanceGrid
@@ -193,11 +193,12 @@ class LocalMap:
         self._scan += 1
         corner = self.origin - 0.5 * self.cell
         cells, from_ = (cloud - corner) / self.cell, (sensor - corner) / self.cell
+        evidence, mark, seen = self._evidence.reshape(-1), self._mark.reshape(-1), self._seen.reshape(-1)
+        own = Cells(*self.shape, self._lowest, evidence, mark, seen)
         add: Any = add_scan
         found: int = add(
-            len(cells), cells.reshape(-1), kind, *from_.tolist(), self._reach / self.cell, 2.0, t, *self.shape, self._lowest,
-            self._scan, self._evidence.reshape(-1), self._mark.reshape(-1), self._seen.reshape(-1),
-        )  # fmt: skip
+            own, len(cells), cells.reshape(-1), kind, *from_.tolist(), self._reach / self.cell, 2.0, t, self._scan
+        )
         return found
 
     # ------------------------------------------------------------------ distances

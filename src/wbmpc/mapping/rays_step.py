@@ -6,6 +6,8 @@ each once; it stays between 0 and :data:`MAX_EVIDENCE`. So what moves away is go
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.kernel.ir import Floats, Integers
@@ -18,25 +20,34 @@ OCCUPIED = 3
 FREE, SOLID, OWN = 0, 1, 2
 
 
+class Cells(NamedTuple):
+    """Cells of a map: ``evidence``, the last scan that changed each (``mark``), and when it was ``seen`` last [s]."""
+
+    nx: int
+    ny: int
+    nz: int
+    lowest: int  # the layer from which on points count
+    evidence: Integers
+    mark: Integers
+    seen: Floats
+
+
 @compiled
-def cell_of(x: float, y: float, z: float, nx: int, ny: int, nz: int) -> int:
+def cell_of(cells: Cells, x: float, y: float, z: float) -> int:
     """The cell with a point (in cells from the corner of the first one); -1 outside of the map."""
-    if not (x >= 0.0 and y >= 0.0 and z >= 0.0 and x < nx and y < ny and z < nz):
+    if not (x >= 0.0 and y >= 0.0 and z >= 0.0 and x < cells.nx and y < cells.ny and z < cells.nz):
         return -1
-    return (int(x) * ny + int(y)) * nz + int(z)
+    return (int(x) * cells.ny + int(y)) * cells.nz + int(z)
 
 
 @compiled
-def add_hits(
-    n: int, points: Floats, kind: Integers, time: float, nx: int, ny: int, nz: int, lowest: int, scan: int,
-    evidence: Integers, mark: Integers, seen: Floats,
-) -> int:  # fmt: skip
-    """Add the solid ones of points (n, 3, in cells) that are in layer ``lowest`` or above; ``seen``: a cell's last time [s]. How many."""
-    count = 0
+def add_hits(cells: Cells, n: int, points: Floats, kind: Integers, time: float, scan: int) -> int:
+    """Add the solid ones of points (n, 3, in cells) that are in layer ``lowest`` or above. How many."""
+    evidence, mark, seen, count = cells.evidence, cells.mark, cells.seen, 0
     for p in range(n):
-        if kind[p] != SOLID or points[3 * p + 2] < lowest:
+        if kind[p] != SOLID or points[3 * p + 2] < cells.lowest:
             continue
-        at = cell_of(points[3 * p], points[3 * p + 1], points[3 * p + 2], nx, ny, nz)
+        at = cell_of(cells, points[3 * p], points[3 * p + 1], points[3 * p + 2])
         if at >= 0:
             count += 1
             if mark[at] != 2 * scan + 1:
@@ -65,10 +76,10 @@ def next_wall(place: float, ahead: float, index: int) -> float:
 
 @compiled
 def clear_ray(
-    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, end: float, nx: int, ny: int, nz: int, scan: int,
-    evidence: Integers, mark: Integers,
-) -> None:  # fmt: skip
+    cells: Cells, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, end: float, scan: int
+) -> None:
     """Take evidence off the cells that a ray from (ox, oy, oz) to share ``end`` of (dx, dy, dz) passes, but for the last one."""
+    nx, ny, nz, evidence, mark = cells.nx, cells.ny, cells.nz, cells.evidence, cells.mark
     low, high = span(ox, dx, float(nx), 0.0, end)
     low, high = span(oy, dy, float(ny), low, high)
     low, high = span(oz, dz, float(nz), low, high)
@@ -101,12 +112,12 @@ def clear_ray(
 
 @compiled
 def add_scan(
-    n: int, points: Floats, kind: Integers, ox: float, oy: float, oz: float, reach: float, keep: float, time: float, nx: int,
-    ny: int, nz: int, lowest: int, scan: int, evidence: Integers, mark: Integers, seen: Floats,
+    cells: Cells, n: int, points: Floats, kind: Integers, ox: float, oy: float, oz: float, reach: float, keep: float, time: float,
+    scan: int,
 ) -> int:  # fmt: skip
     """Add points (n, 3) that were seen from (ox, oy, oz), all in cells: hits, then what their rays pass, up to ``reach`` and, before
     the robot itself, ``keep``. ``scan``: its number, from 1 on. How many hits there were in the map."""
-    count = add_hits(n, points, kind, time, nx, ny, nz, lowest, scan, evidence, mark, seen)
+    count = add_hits(cells, n, points, kind, time, scan)
     for p in range(n):
         dx, dy, dz = points[3 * p] - ox, points[3 * p + 1] - oy, points[3 * p + 2] - oz
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -114,10 +125,7 @@ def add_scan(
         if kind[p] == OWN:
             end -= keep / max(length, 1e-9)
         if end > 0.0:
-            clear_ray(
-                ox=ox, oy=oy, oz=oz, dx=dx, dy=dy, dz=dz, end=end, nx=nx, ny=ny, nz=nz, scan=scan, evidence=evidence,
-                mark=mark,
-            )  # fmt: skip
+            clear_ray(cells, ox, oy, oz, dx, dy, dz, end, scan)
     return count
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,8 +49,14 @@ class InputRows:
         arrays = {
             "p": p, "w": solver.constants, "times": self._times, "numbers": tables.numbers, "integers": tables.integers,
             "limits": self.limits.table, "rows": self.table, "switches": self.switches, "room": np.empty(max(width, 1)),
-            "active": self._active, "moving": self._moving,
+            "active": self._active, "moving": self._moving, **{name: np.zeros(0) for name in ("states", "inputs", "gains")},
         }  # fmt: skip
-        sizes = {"n": n, "size": p.shape[1], "nu": solver.problem.nu, "r": r, "moves": int(planes.move)}
-        widths = {"by_node": width, "by_constant": planes.by_constant.shape[1]}
-        return bind(plan_rows, arrays, p_at=0, w_at=0, **sizes, **widths)
+        sizes: dict[str, Any] = {
+            "n": n,
+            "nx": solver.problem.nx,
+            "nu": solver.problem.nu,
+            "r": r,
+            "moves": int(planes.move),
+        }
+        sizes |= {"size": p.shape[1], "by_node": width, "by_constant": planes.by_constant.shape[1]}
+        return bind(plan_rows, arrays, p_at=0, w_at=0, **sizes)

@@ -103,6 +103,17 @@ def row_names(term: Constraint) -> list[str]:
     return names
 
 
+def missed(term: Constraint, r: ca.SX) -> ca.SX:
+    """By how much every row of a term's residual ``r`` is below its set (negative) or above it; 0 inside."""
+    if term.equality:
+        return r
+    n = r.shape[0]
+    lower, upper = term.set.bounds(n) if isinstance(term.set, Box) else (np.zeros(n), np.full(n, np.inf))
+    below = [ca.fmin(r[i] - bound, 0.0) if np.isfinite(bound) else ca.SX(0) for i, bound in enumerate(lower)]
+    above = [ca.fmax(r[i] - bound, 0.0) if np.isfinite(bound) else ca.SX(0) for i, bound in enumerate(upper)]
+    return ca.vertcat(*below) + ca.vertcat(*above)
+
+
 def equality_rows(
     terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]],
     inequalities: Sequence[tuple[Constraint, ca.SX, ca.SX | float]],

@@ -23,6 +23,7 @@ from wbmpc.ocp.constraint_classification import (
     depends,
     equality_rows,
     inequality_rows,
+    missed,
     nonlinear_equalities,
     nonlinear_in_inputs,
 )
@@ -31,7 +32,6 @@ from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Symbols
 from wbmpc.ocp.schedule import DEFAULT, ModeSchedule
-from wbmpc.ocp.sets import Box
 from wbmpc.ocp.terms import Constraint, Cost
 
 
@@ -213,15 +213,7 @@ class Transcription:
 
     def broken(self, term: Constraint) -> ca.SX:
         """How far every row of a constraint is from being met, in the residual's unit; 0 in modes where it does not count."""
-        r, switch = self.residual(term), self._switch(term.name)
-        if term.equality:
-            return switch * ca.fabs(r)
-        if isinstance(term.set, Box):
-            lower, upper = term.set.bounds(r.shape[0])
-            parts = [ca.fmax(0.0, lo - r[i]) if np.isfinite(lo) else ca.SX(0) for i, lo in enumerate(lower)]
-            over = [ca.fmax(0.0, r[i] - up) if np.isfinite(up) else ca.SX(0) for i, up in enumerate(upper)]
-            return switch * (ca.vertcat(*parts) + ca.vertcat(*over))
-        return switch * ca.fmax(0.0, -r)
+        return self._switch(term.name) * ca.fabs(missed(term, self.residual(term)))
 
     @property
     def rates(self) -> ca.SX:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from wbmpc.ocp import Constraint, Transcription
+from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
 from wbmpc.ocp.constraint_classification import row_names
 
 #: What messages call the model.
@@ -27,6 +27,31 @@ class Violation(NamedTuple):
         return f"{self.row} by {self.value:.3g} at node {self.node}"
 
 
+def must_hold(problem: Transcription, term: Any) -> bool:
+    """Whether a constraint is to be met exactly. Relaxed barriers are soft, and so are rows that a softness softens (those of
+    the Riccati recursion): no problem is infeasible because of them."""
+    if isinstance(term.penalty, AugmentedLagrangian) or not term.equality:
+        return term.hard or isinstance(term.penalty, AugmentedLagrangian)
+    return term.softness == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
+
+
+def gives_way(problem: Transcription, term: Any) -> bool:
+    """Whether a constraint is a hard limit with an L1 slack (rows of inputs alone have none): whatever the start, there is a
+    solution that misses it."""
+    alone = problem.with_input(term) & ~problem.with_state(term)
+    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not alone.all())
+
+
+def rows_that_must_hold(problem: Transcription) -> dict[str, np.ndarray]:
+    """By constraint, which of its rows must hold exactly: of those with a slack, rows of inputs alone."""
+    found = {}
+    for name, term in problem.ocp.terms.items():
+        if isinstance(term, Constraint) and must_hold(problem, term):
+            alone = problem.with_input(term) & ~problem.with_state(term)
+            found[name] = alone if gives_way(problem, term) else np.ones(alone.size, bool)
+    return found
+
+
 class Checks:
     """Functions of one problem that say how far every constraint is from being met."""
 
@@ -41,8 +66,10 @@ class Checks:
         self._gradients: dict[str, ca.Function] = {}
         self._end = ca.Function("end", args, [ca.densify(e) for e in broken(self.end)])
 
-    def violations(self, x: np.ndarray, u: np.ndarray, p: np.ndarray, w: np.ndarray) -> dict[str, Violation]:
-        """By constraint; rows of the state alone do not count at the measured state."""
+    def violations(
+        self, x: np.ndarray, u: np.ndarray, p: np.ndarray, w: np.ndarray, rows: Mapping[str, np.ndarray] | None = None
+    ) -> dict[str, Violation]:
+        """By constraint; rows of the state alone do not count at the measured state. ``rows``: which ones count, of which constraints."""
         n = len(u)
         p, w = p[:, : self.problem.node.size], w[: self.problem.constant.size]
         found: dict[str, Violation] = {}
@@ -52,11 +79,11 @@ class Checks:
         for term, values in zip(self.path, along, strict=True):
             table = np.array(ca.DM(values)).reshape(term.residual.size, n)
             table[~self.problem.with_input(term), 0] = 0.0
-            self._keep(found, term, table, 0)
+            self._keep(found, term, table, 0, rows)
         for term, values in zip(self.end, last, strict=True):
             table = np.array(ca.DM(values)).reshape(term.residual.size, 1)
             table[self.problem.with_input(term)] = 0.0
-            self._keep(found, term, table, n)
+            self._keep(found, term, table, n, rows)
         return found
 
     def slope(self, term: Constraint, where: Violation, ws: Any) -> float:
@@ -68,7 +95,12 @@ class Checks:
             self._gradients[where.row] = ca.Function("slope", args, [ca.densify(ca.jacobian(r, problem.z))])
         return float(np.linalg.norm(np.array(self._gradients[where.row](*_arguments(problem, ws, where.node)))))
 
-    def _keep(self, found: dict[str, Violation], term: Constraint, table: np.ndarray, first: int) -> None:
+    def _keep(
+        self, found: dict[str, Violation], term: Constraint, table: np.ndarray, first: int,
+        rows: Mapping[str, np.ndarray] | None,
+    ) -> None:  # fmt: skip
+        if rows is not None:
+            table[~rows.get(term.name, np.zeros(len(table), bool))] = 0.0
         if not table.size:
             return
         row, node = np.unravel_index(int(np.argmax(np.where(np.isnan(table), np.inf, table))), table.shape)

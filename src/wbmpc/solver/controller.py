@@ -14,7 +14,7 @@ import numpy as np
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
 from wbmpc.solver import compilation, feedback
-from wbmpc.solver.feedback import CUT, Plan, evaluate, hold, interval, plan_rows, planned_state
+from wbmpc.solver.feedback import CUT, Offsets, Plan, evaluate, hold, interval, plan_rows, planned_state
 from wbmpc.solver.memory_layout import (
     GRID,
     LIMIT_TOLERANCE,
@@ -227,9 +227,17 @@ def fall_back(c: Loop, plan: Plan, count: Integers, x: Floats, room: Floats) -> 
 
 @compiled
 def update(
-    c: Loop, plan: Plan, count: Integers, start: Floats, rows: Floats, switches: Integers, room: Floats, by_node: int, by_constant: int,
-    first: int, period: float, t: float, x: Floats,
-) -> int:  # fmt: skip
+    c: Loop,
+    plan: Plan,
+    offsets: Offsets,
+    count: Integers,
+    start: Floats,
+    room: Floats,
+    first: int,
+    period: float,
+    t: float,
+    x: Floats,
+) -> int:
     """A new plan from the state ``x`` at time ``t``."""
     m, o = c.m, c.o
     if not (np.isfinite(t) and finite(x, 0, o[NX])):
@@ -247,11 +255,7 @@ def update(
     if not usable:
         return fall_back(c, plan, count, start, room)
     take_plan(c, plan, start, t)
-    plan_rows(
-        p=m, p_at=o[P], n=o[N], size=o[NP], w=m, w_at=o[W], times=plan.times, numbers=c.numbers, integers=c.integers,
-        nu=o[NU], limits=plan.limits, rows=rows, switches=switches, r=plan.r, moves=plan.moves, by_node=by_node,
-        by_constant=by_constant, room=room, active=plan.active, moving=plan.moving,
-    )  # fmt: skip
+    plan_rows(plan, offsets, m, o[P], o[NP], m, o[W], c.numbers, c.integers, room)
     count[Count.PLANNED] = 1
     return Result.OK
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
+from wbmpc.ocp import Constraint, Transcription
 from wbmpc.ocp.constraint_classification import fixed, row_names
 from wbmpc.ocp.sets import Box
 from wbmpc.solver import certificate
-from wbmpc.solver.certificate import Violation
-from wbmpc.solver.least_violation import Finding, least_violation
+from wbmpc.solver.certificate import Violation, gives_way, must_hold
+from wbmpc.solver.infeasibility import Finding, least_violation
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 
@@ -61,44 +61,19 @@ def _not_finite(solver: Solver) -> str:
     return f"{found or 'the step'}; no term depends on input '{free[0]}'" if free else found
 
 
-def _must_hold(problem: Transcription, term: Any) -> bool:
-    """Whether a constraint is to be met exactly. Relaxed barriers are soft, and so are rows that a softness softens (those of
-    the Riccati recursion): no problem is infeasible because of them."""
-    if isinstance(term.penalty, AugmentedLagrangian) or not term.equality:
-        return term.hard or isinstance(term.penalty, AugmentedLagrangian)
-    return term.softness == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
-
-
-def _gives_way(problem: Transcription, term: Any) -> bool:
-    """Whether a constraint is a hard limit with an L1 slack (rows of inputs alone have none): whatever the start, there is a
-    solution that misses it."""
-    alone = problem.with_input(term) & ~problem.with_state(term)
-    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not alone.all())
-
-
 def _can_contradict(problem: Transcription) -> bool:
     """Whether anything that must be met depends on states. Where nothing does, a motion of the model closes all gaps."""
-    terms = [t for t in problem.ocp.terms.values() if isinstance(t, Constraint) and _must_hold(problem, t)]
-    return any(problem.with_state(t).any() and not _gives_way(problem, t) for t in terms)
-
-
-def _rows_that_must_hold(problem: Transcription) -> dict[str, np.ndarray]:
-    """By constraint, which of its rows must hold exactly: of those with a slack, rows of inputs alone."""
-    found = {}
-    for name, term in problem.ocp.terms.items():
-        if isinstance(term, Constraint) and _must_hold(problem, term):
-            alone = problem.with_input(term) & ~problem.with_state(term)
-            found[name] = alone if _gives_way(problem, term) else np.ones(alone.size, bool)
-    return found
+    terms = [t for t in problem.ocp.terms.values() if isinstance(t, Constraint) and must_hold(problem, t)]
+    return any(problem.with_state(t).any() and not gives_way(problem, t) for t in terms)
 
 
 def _missed(solver: Solver, violations: dict[str, Violation]) -> Violation | None:
     """The largest violation of what must hold, where it is above the tolerance; of limits with a slack only if nothing else is."""
     problem, terms = solver.problem, solver.problem.ocp.terms
     found = [
-        (not _gives_way(problem, terms[name]), v)
+        (not gives_way(problem, terms[name]), v)
         for name, v in violations.items()
-        if _must_hold(problem, terms[name]) and v.value > solver.settings.feasibility
+        if must_hold(problem, terms[name]) and v.value > solver.settings.feasibility
     ]
     return max(found, key=lambda f: (f[0], f[1].value), default=(False, None))[1]
 
@@ -109,7 +84,7 @@ def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status
     for name, found in sorted(violations.items(), key=lambda v: -v[1].value):
         term: Any = problem.ocp.terms[name]
         relaxed = _relaxed(term, found)
-        if not _must_hold(problem, term) or found.value < min(1e-10, relaxed):
+        if not must_hold(problem, term) or found.value < min(1e-10, relaxed):
             continue
         if term.hard and found.value > relaxed:
             return Status.RELAXED, str(found)
@@ -159,7 +134,7 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None, en
     held_up = (
         not missed and (problem.softness > 0.0).any()
     )  # by soft equalities: the merit has them among the violations
-    if missed and _gives_way(problem, problem.ocp.terms[missed.row.split(".")[0]]):
+    if missed and gives_way(problem, problem.ocp.terms[missed.row.split(".")[0]]):
         return (
             solution.status,
             f"largest violation: {missed}, a limit that may give way, for it has a slack: more iterations",
@@ -185,7 +160,7 @@ def _certified(solver: Solver, ended: Status) -> tuple[Status, str]:
     no time for one.)"""
     if not solver.settings.compute_kkt:
         return Status.INFEASIBLE, ""
-    finding = least_violation(solver, _rows_that_must_hold(solver.problem), solver.settings.feasibility)
+    finding = least_violation(solver)
     if finding is Finding.MET:
         return ended, "; all constraints can be met: try more iterations or another guess"
     return Status.INFEASIBLE if finding is Finding.INFEASIBLE else ended, ""

@@ -42,6 +42,15 @@ class Plan(NamedTuple):
     moves: int  # whether offsets move
 
 
+class Offsets(NamedTuple):
+    """What parameters add to the offsets of the r rows of a plan's limits."""
+
+    rows: Floats  # by those of a node (r, by_node), then by those of the whole horizon (r, by_constant)
+    switches: Integers  # (r), the node's parameter that turns each row on, or −1
+    by_node: int
+    by_constant: int
+
+
 @compiled
 def interval(times: Floats, n: int, t: float) -> int:
     """Which of the ``n`` intervals between ``times`` (n + 1) holds at time t; the first and the last one outside."""
@@ -264,21 +273,21 @@ def excess(
 
 @compiled
 def plan_rows(
-    p: Floats, p_at: int, n: int, size: int, w: Floats, w_at: int, times: Floats, numbers: Floats, integers: Integers, nu: int,
-    limits: Floats, rows: Floats, switches: Integers, r: int, moves: int, by_node: int, by_constant: int, room: Floats,
-    active: Floats, moving: Floats,
+    plan: Plan, offsets: Offsets, p: Floats, p_at: int, size: int, w: Floats, w_at: int, numbers: Floats, integers: Integers,
+    room: Floats,
 ) -> None:  # fmt: skip
-    """Of the rows of ``limits`` in each of n intervals: which count, ``active`` (n, r), and where ``moves`` their offsets at its
-    beginning and end, ``moving`` (n, 2, r). ``p`` from ``p_at`` on: the nodes' parameters (n + 1, size); ``w``: those of the whole
-    horizon; ``switches`` (r,): the node's parameter that turns each on, or −1; ``rows``: what p (r, by_node) and w (r, by_constant)
-    add to the offsets; ``times`` (n + 1): of the nodes; ``numbers``, ``integers``: references and modes. ``room``: by_node numbers.
+    """Of the rows of a plan's limits in each interval: which count, ``active``, and where they ``move`` their offsets at its beginning
+    and end, ``moving``. ``p`` from ``p_at`` on: the nodes' parameters (n + 1, size); ``w`` from ``w_at`` on: those of the whole
+    horizon; ``numbers``, ``integers``: references and modes. ``room``: by_node numbers.
 
     What is linear in time at the nodes goes on to the next one, all else holds over an interval; both less what would be too much
     somewhere in the interval (:func:`excess`)."""
+    times, moving, n, r = plan.times, plan.moving, plan.n, plan.r
+    rows, switches, by_node, by_constant = offsets.rows, offsets.switches, offsets.by_node, offsets.by_constant
     for k in range(n):
         for row in range(r):
-            active[k * r + row] = 1.0 if switches[row] < 0 else p[p_at + k * size + switches[row]]
-    if moves == 0:
+            plan.active[k * r + row] = 1.0 if switches[row] < 0 else p[p_at + k * size + switches[row]]
+    if plan.moves == 0:
         return
     for j in range(by_node):
         room[j] = 0.0
@@ -288,7 +297,7 @@ def plan_rows(
             for j in range(integers[s + 3]):
                 room[integers[s + 5] + j] = 1.0
     for row in range(r):
-        fixed = limits[(2 + r) * nu + row]
+        fixed = plan.limits[(2 + r) * plan.nu + row]
         for j in range(by_constant):
             fixed += rows[r * by_node + row * by_constant + j] * w[w_at + j]
         for k in range(n):

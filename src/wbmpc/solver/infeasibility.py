@@ -1,37 +1,30 @@
-"""Compiled code that detects, in real time, constraints that cannot be met together.
+"""Infeasibility: constraints cannot be met together, near a motion, where what they miss is stationary and not zero.
 
-**Which rows.** Rows with multipliers: augmented Lagrangians, equalities of the state alone and of the end of the horizon. A step
-need not meet them; their multipliers grow until it does. Where they contradict each other, multipliers grow forever, so that
-"not met yet" and "cannot be met" have to be distinguished while only one iteration is done per solve. Compiled solver only.
+Let φ be half the sum of the squares of what rows miss, weighted by the lengths W of the intervals. Where constraints can be met φ has
+a minimum of 0; where its gradient vanishes before that, no small change of the motion makes them hold better
+(docs/explanation/inequalities.md). The gradient is asked for twice:
 
-**The certificate.** Let v be changes of the inputs beyond the policy's feedback that keep the dynamics and the rows of the Riccati
-recursion, J the Jacobian of the rows with multipliers by v, W the lengths of the intervals, and r what a full step leaves of these
-rows. Rows that can be met have a v with J v = −r. Where the least-squares residual is what is left, the gradient vanishes:
-g = Jᵀ W r = 0. So r is a certificate of infeasibility as far as g is zero, which rounding and multipliers that still grow prevent; the
-measure is the cosine between r and J g in the norm of W,
-
-    cos = gᵀ g / (‖J g‖ ‖r‖) ≤ ``stationary``,
-
-which no scaling of all rows or of all inputs changes. It has to hold for ``confirmations`` solves in a row.
-
-**Limits of the inputs.** Where hard limits are in the way, g is not zero but a sum of the gradients of active limits with
-multipliers that are not negative (Farkas' lemma): the projection of g onto the directions that the limits leave is zero, to the share
-``blocked`` of gᵀ g. That may pass: a goal comes nearer, a push is over. So it counts only after ``horizons`` horizons
-during which the residual changed by less than ``unchanged``, that is at rest; if no state has a part in g (its costates vanish), no
-motion will ever help, and it counts like a contradiction.
-
-**Steps** of :func:`detect_infeasibility`: the largest residual relative to its row (:func:`largest_relative_residual`) is beyond
-``equality_bound``; g (:func:`reduced_gradient`), ‖r‖² (:func:`squared_residual`) and ‖J g‖² (:func:`squared_response`) give the cosine;
-if it is large, g without what limits block (:func:`remove_blocked_part`); blocked residuals are timed
-(:func:`blocked_long_enough`). What is detected does not go into the multipliers (:func:`undo_multiplier_update`).
+- After a solve that ended away from the constraints :func:`least_violation` minimizes φ from there: one more optimal control problem,
+  which has the same dynamics and no cost but φ, for the same solver.
+- In real time there is one iteration per solve. :func:`detect_infeasibility` (compiled, without allocation) takes the gradient of φ at
+  the plan. Its rows are those with multipliers, which no step has to meet: augmented Lagrangians, equalities of the state alone and of
+  the end of the horizon. With r what a full step leaves of them, and J their derivative by changes of the inputs beyond the policy's
+  feedback (which keep the dynamics and the rows of the Riccati recursion), g = Jᵀ W r. "Zero" is a cosine that no scaling changes,
+  gᵀ g / (‖J g‖ ‖r‖) ≤ ``stationary``, for ``confirmations`` solves. Where active limits of the inputs are in the way, g is a sum of
+  their gradients with multipliers that are not negative (Farkas' lemma). That may pass: it counts once the residual has been at rest
+  for ``horizons``, or at once if no state has a part in g. What is detected does not go into the multipliers.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wbmpc.ocp.violation import violation_problem
+from wbmpc.solver.certificate import rows_that_must_hold
 from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.exact import least_squares_multipliers
 from wbmpc.solver.inequality_table import (
@@ -82,8 +75,13 @@ from wbmpc.solver.memory_layout import (
     U,
     X,
 )
+from wbmpc.solver.settings import SQP
 from wbmpc.solver.simd_batch import equality_size, load_block, stage_lanes, unpack
+from wbmpc.solver.solution import Status
 from wbmpc.solver.stages import row_index
+
+if TYPE_CHECKING:
+    from wbmpc.solver.solver import Solver
 
 
 @dataclass(frozen=True)
@@ -116,6 +114,12 @@ def remaining_residual(m: Floats, o: Integers, k: int, j: int) -> float:
         return 0.0
     left = m[o[ROW_H] + q] + m[o[ROW_D] + q]
     return min(left, 0.0) if kind == MULTIPLIER else left
+
+
+@compiled
+def weight(m: Floats, o: Integers, k: int) -> float:
+    """Weight of node k's rows in φ: the length of its interval, 1 at the end of the horizon."""
+    return m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
 
 
 @compiled
@@ -161,10 +165,9 @@ def largest_relative_residual(m: Floats, o: Integers) -> float:
 def add_weighted_gradient(m: Floats, o: Integers, k: int) -> None:
     """w Jᵀ r of node k onto the gradient by [x, 1, u] in ``chained``."""
     _, boxes, general = node_rows(o, k)
-    w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
     size = o[NX] + 1 + o[NU] if k < o[N] else o[NX]
     for j in range(boxes + general):
-        left = w * remaining_residual(m, o, k, j)
+        left = weight(m, o, k) * remaining_residual(m, o, k, j)
         if left != 0.0:
             for i in range(size):
                 if i != o[NX]:
@@ -240,11 +243,11 @@ def reduced_gradient(m: Floats, o: Integers, limited: bool) -> tuple[float, floa
 
 
 @compiled
-def squared_response(m: Floats, o: Integers) -> float:
-    """‖J v‖² in the norm of W over the rows with multipliers that count, v in ``u_trial``: how these rows would change with v, by a
-    sweep from the start of the horizon. Overwrites ``pulled`` and ``x_trial``."""
+def squared_lengths(m: Floats, o: Integers) -> tuple[float, float]:
+    """‖r‖² and ‖J v‖² in the norm of W over the rows with multipliers that count, v in ``u_trial``: how these rows would change with v,
+    by a sweep from the start of the horizon. Overwrites ``pulled`` and ``x_trial``."""
     nx, nu, lx, lz, dx, du = o[NX], o[NU], o[LX], o[LZ], o[XT], o[PULLED]
-    total = 0.0
+    residual, response = 0.0, 0.0
     for i in range(nx):
         m[dx + i] = 0.0
     for k in range(o[N] + 1):
@@ -262,33 +265,18 @@ def squared_response(m: Floats, o: Integers) -> float:
                 for j in range(nu):
                     change += m[row + nx + 1 + j] * m[du + j]
                 m[at + nx + r] = change
-        w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
         for j in range(boxes + general):
-            kind = kind_of(m, o, first + j)
-            if kind == HARD or not counts(m, o, first + j, k):
+            kind, left, change = kind_of(m, o, first + j), remaining_residual(m, o, k, j), 0.0
+            if kind == HARD or not counts(m, o, first + j, k) or (kind == MULTIPLIER and left == 0.0):
                 continue
-            if kind == MULTIPLIER and remaining_residual(m, o, k, j) == 0.0:
-                continue
-            change = 0.0
             for i in range(nx):
                 change += row_derivative(m, o, k, j, i) * m[at + i]
             if k < o[N]:
                 for i in range(nu):
                     change += row_derivative(m, o, k, j, nx + 1 + i) * m[du + i]
-            total += w * change * change
-    return total
-
-
-@compiled
-def squared_residual(m: Floats, o: Integers) -> float:
-    """‖r‖² in the norm of W."""
-    total = 0.0
-    for k in range(o[N] + 1):
-        _, boxes, general = node_rows(o, k)
-        w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-        for j in range(boxes + general):
-            total += w * remaining_residual(m, o, k, j) ** 2
-    return total
+            residual += weight(m, o, k) * left * left
+            response += weight(m, o, k) * change * change
+    return residual, response
 
 
 @compiled
@@ -304,13 +292,11 @@ def undo_multiplier_update(m: Floats, o: Integers) -> None:
 
 
 @compiled
-def blocked_long_enough(m: Floats, o: Integers, residual: float) -> bool:
-    """Whether limits have blocked the ``residual`` for ``horizons`` horizons, and it has not changed meanwhile."""
+def at_rest(m: Floats, o: Integers, residual: float) -> bool:
+    """Whether the ``residual``, which limits block, has not changed for ``horizons`` horizons."""
     state = o[STATE]
-    if (
-        abs(residual - m[state + StateField.BLOCKED_RESIDUAL])
-        > DETECTION.unchanged * m[state + StateField.BLOCKED_RESIDUAL]
-    ):
+    last = m[state + StateField.BLOCKED_RESIDUAL]
+    if abs(residual - last) > DETECTION.unchanged * last:
         m[state + StateField.BLOCKED_RESIDUAL], m[state + StateField.BLOCKED_TIME] = residual, 0.0
     return m[state + StateField.BLOCKED_TIME] >= DETECTION.horizons * m[o[GRID] + o[N]]
 
@@ -321,22 +307,63 @@ def detect_infeasibility(m: Floats, o: Integers, s: Floats) -> bool:
     if o[MULTIPLIERS] == 0:
         return False
     state = o[STATE]
-    residual, infeasible, blocked, waited = largest_relative_residual(m, o), False, False, False
+    residual, infeasible, blocked = largest_relative_residual(m, o), False, False
     m[state + StateField.BLOCKING_ROW] = -1.0
     if residual > s[Setting.EQUALITY_BOUND]:
         gradient, _ = reduced_gradient(m, o, False)
-        square = squared_residual(m, o)
-        infeasible = gradient <= DETECTION.stationary * np.sqrt(squared_response(m, o) * square)
+        square, response = squared_lengths(m, o)
+        infeasible = gradient <= DETECTION.stationary * np.sqrt(response * square)
         if not infeasible:
             free, of_states = reduced_gradient(m, o, True)
             blocked = free <= DETECTION.blocked * gradient
             infeasible = blocked and of_states <= DETECTION.blocked * gradient
-    if blocked:
-        waited = blocked_long_enough(m, o, residual)
-    else:
+    if not blocked:
         m[state + StateField.BLOCKED_RESIDUAL], m[state + StateField.BLOCKED_TIME] = 0.0, 0.0
+    waited = blocked and at_rest(m, o, residual)
     m[state + StateField.INFEASIBLE_SOLVES] = m[state + StateField.INFEASIBLE_SOLVES] + 1.0 if infeasible else 0.0
     if infeasible or waited:
         undo_multiplier_update(m, o)
         m[state + StateField.EQUALITY_RESIDUAL] = residual
     return waited or m[state + StateField.INFEASIBLE_SOLVES] >= DETECTION.confirmations
+
+
+# ---------------------------------------------------------------------- after a solve
+#: Iterations at most of a solve that minimizes φ: where constraints are nearly parallel it takes hundreds.
+STEPS = 1000
+
+
+class Finding(Enum):
+    """What minimizing φ came to."""
+
+    MET = "the constraints can be met"
+    INFEASIBLE = "a minimum of what they miss"
+    OPEN = "neither"
+
+
+def violation_solver(solver: Solver) -> Solver:
+    """Minimizes φ of all rows that must hold."""
+    ocp = violation_problem(solver.problem, rows_that_must_hold(solver.problem))
+    return type(solver)(ocp, SQP(STEPS, backend=solver.settings.backend), solver.use_cache)
+
+
+def least_violation(solver: Solver) -> Finding:
+    """Whether constraints contradict each other near the iterate of the last solve."""
+    ws, rows = solver.ws, rows_that_must_hold(solver.problem)
+    if not (np.isfinite(ws.x).all() and np.isfinite(ws.u).all()):
+        return Finding.OPEN
+    if not rows:  # any motion of the model
+        return Finding.MET
+    least = solver.violation
+    for name in least.problem.references.slices:
+        if (reference := solver.references.get(name.rpartition(", ")[0])) is not None:
+            least.set_reference(name, reference)
+    least.set_schedule(solver.schedule)
+    least.set_parameters(ws.w[solver.problem.constant.slices["parameters"]])
+    least.warm_start(ws.x, ws.u)
+    found, feasibility = least.solve(solver.x0, solver.t0), solver.settings.feasibility
+    if not (np.isfinite(found.x).all() and np.isfinite(found.u).all()) or found.violation > feasibility:
+        return Finding.OPEN
+    missed_by = solver.checks.violations(found.x, found.u, ws.p, ws.w, rows)
+    if max((v.value for v in missed_by.values()), default=0.0) <= feasibility:
+        return Finding.MET
+    return Finding.INFEASIBLE if found.status is Status.CONVERGED else Finding.OPEN

@@ -42,14 +42,9 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger("wbmpc")
 _STATUS = (
-    Status.CONVERGED,
-    Status.ITERATION_LIMIT,
-    Status.LINE_SEARCH_FAILED,
-    Status.NOT_FINITE,
-    Status.DIVERGED,
-    Status.INPUT_INFEASIBLE,
-    Status.EQUALITY_INFEASIBLE,
-)
+    Status.CONVERGED, Status.ITERATION_LIMIT, Status.LINE_SEARCH_FAILED, Status.NOT_FINITE, Status.DIVERGED,
+    Status.INPUT_INFEASIBLE, Status.EQUALITY_INFEASIBLE,
+)  # fmt: skip
 
 
 @cache
@@ -246,6 +241,7 @@ class Solver(SolverResults):
         """Shift by ``delta`` [s], sample at ``t0`` [s], iterate in place from ``x0`` (nx): (status code, iterations). Compiles nothing."""
         with self.exclusive:
             self._check_terms()
+            self.t0 = t0
             if self.settings.backend == "interpreted":
                 self.x0 = x0
                 with Interruptible() as signals:
@@ -363,6 +359,13 @@ class Solver(SolverResults):
     def checks(self) -> Checks:
         """How far every constraint is from being met: functions of the problem."""
         return Checks(self.problem)
+
+    @cached_property
+    def violation(self) -> Solver:
+        """Minimizes what this problem's constraints miss: see :mod:`wbmpc.solver.infeasibility`."""
+        from wbmpc.solver.infeasibility import violation_solver
+
+        return violation_solver(self)
 
     @staticmethod
     def status(code: int) -> Status:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -207,24 +208,31 @@ class Stance:
         return {t: float(m) for t, m in triangle_margins(self.feet, self.zmp).items()}
 
 
-class StanceOf:
-    """Callable: a robot's :class:`Stance` at numeric states; compiles its expressions once."""
+#: What was compiled, by robot.
+_COMPILED: WeakKeyDictionary[RobotModel, tuple[Numeric, float]] = WeakKeyDictionary()
 
-    def __init__(self, robot: RobotModel) -> None:
-        x, u, a = (
-            ca.SX.sym(n, size)
-            for n, size in (("x", robot.state.size), ("u", robot.input.size), ("a", robot.input.size))
-        )
-        wrench, gravity = ca.SX.sym("wrench", 6), ca.SX.sym("gravity", 3)
+
+def _compiled(robot: RobotModel) -> tuple[Numeric, float]:
+    """Feet, center of mass, force and moment as a function of (x, u, u̇, wrench, gravity), and the mass [kg]; of one robot once."""
+    if robot not in _COMPILED:
+        sizes = {"x": robot.state.size, "u": robot.input.size, "a": robot.input.size, "wrench": 6, "gravity": 3}
+        x, u, a, wrench, gravity = symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
         support = Support(robot, x)
-        mode = ca.SX.ones(robot.mode.size)
-        x_rate = robot.dynamics()(x, u, ca.SX.zeros(robot.parameters.size), mode)
+        x_rate = robot.dynamics()(x, u, ca.SX.zeros(robot.parameters.size), ca.SX.ones(robot.mode.size))
         load = support.load(wrench, GRAVITY, (u, x_rate, a))
         change = support.mass * (gravity - ca.DM(GRAVITY))
-        load = (load[0] + change, load[1] + ca.cross(support.com, change))
-        outputs = [support.feet, support.com, *load]
-        self.robot, self.mass = robot, support.mass
-        self._function = Numeric(ca.Function("stance", [x, u, a, wrench, gravity], [ca.densify(o) for o in outputs]))
+        outputs = [support.feet, support.com, load[0] + change, load[1] + ca.cross(support.com, change)]
+        function = Numeric(ca.Function("stance", symbols, [ca.densify(o) for o in outputs]))
+        _COMPILED[robot] = function, support.mass
+    return _COMPILED[robot]
+
+
+class StanceOf:
+    """Callable: a robot's :class:`Stance` at numeric states; its expressions are compiled once for each robot."""
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot = robot
+        self._function, self.mass = _compiled(robot)
 
     def __call__(
         self,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.bases.ball.compilation import compiled, step
@@ -18,16 +20,29 @@ def matrix_of(q: Floats, at: int, r: Floats) -> None:
     r[6], r[7], r[8] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
 
 
+class Sensors(NamedTuple):
+    """What is measured where, and what a step leaves for the next one."""
+
+    mount: Floats  # (3) [m], of the inertial unit in the base
+    wheels: Floats  # (n, 3), wheel speeds over the ball's
+    row: Floats  # what is seen: see measure
+    velocity: Floats  # (3) [m/s], of the mount
+    rotation: Floats  # (3, 3), of the base
+    last: Floats  # (3, 3), a step before
+    turned: Floats  # (3, 3), of the ball against the base
+
+
 @step
 def measure(
-    n: int, nq: int, nv: int, ball_q: int, ball_v: int, q: Floats, v: Floats, mount: Floats, wheels: Floats, row: Floats,
-    velocity: Floats, rotation: Floats, last: Floats, turned: Floats, h: float, first: bool,
-) -> None:  # fmt: skip
+    n: int, nq: int, nv: int, ball_q: int, ball_v: int, q: Floats, v: Floats, sensors: Sensors, h: float, first: bool
+) -> None:
     """``row``: positions ``q`` (nq) and velocities ``v`` (nv) in MuJoCo's conventions, integrals since the start of turning (3) [rad]
     and specific force (3) [m/s] in base axes, how many steps that are, wheel angles (n) [rad]; ``h`` [s] of a step. ``first``: at the start.
 
-    Specific force: what changes the ``velocity`` (3) of the ``mount``, gravity taken away; ``wheels`` (n, 3): wheel speeds over the
-    ball's, which is relative to the base and begins at ``q[ball_q]``, ``v[ball_v]``."""
+    Specific force: what changes the ``velocity`` of the ``mount``, gravity taken away. The ball's motion is relative to the base and
+    begins at ``q[ball_q]``, ``v[ball_v]``."""
+    mount, wheels, row, velocity = sensors.mount, sensors.wheels, sensors.row, sensors.velocity
+    rotation, last, turned = sensors.rotation, sensors.last, sensors.turned
     for i in range(nq):
         row[i] = q[i]
     for i in range(nv):

@@ -8,6 +8,7 @@ Positions ``q`` and velocities ``v`` are MuJoCo's; m joints of the arm are at ``
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -54,22 +55,49 @@ def quaternion_of(r: Floats, q: Floats) -> None:
         q[k] = q[k] / length
 
 
+class Frames(NamedTuple):
+    """Where base and end effector are in the simulated world."""
+
+    base: Floats  # (3) [m]
+    rotation: Floats  # (3, 3)
+    tool: Floats  # (3) [m]
+    tool_rotation: Floats  # (3, 3)
+
+
+class Recorded(NamedTuple):
+    """What is recorded: see :func:`truth`."""
+
+    state: Floats
+    hand: Floats
+    hand_quaternion: Floats
+    tilt: Floats
+    seen: Floats
+    turned: Floats
+
+
 @step
 def truth(
-    m: int, height: float, q: Floats, v: Floats, arm_q: Integers, arm_v: Integers, base: Floats, rotation: Floats, tool: Floats,
-    tool_rotation: Floats, state: Floats, hand: Floats, hand_quaternion: Floats, tilt: Floats, seen: Floats, turned: Floats,
+    m: int,
+    height: float,
+    q: Floats,
+    v: Floats,
+    arm_q: Integers,
+    arm_v: Integers,
+    at: Frames,
+    found: Recorded,
     yaw_before: float,
-) -> None:  # fmt: skip
+) -> None:
     """``state`` in minimal coordinates, its yaw nearest to ``yaw_before`` [rad]; the end effector, ``hand`` (3) [m] ``height`` below the
     world's, and ``hand_quaternion`` (4), and as it is ``seen`` and ``turned`` from the base, whose ``tilt`` (1) [rad] is that of its
     z axis from the vertical."""
+    state, hand, tilt, tool = found.state, found.hand, found.tilt, at.tool
     minimal_state(m, q, v, arm_q, arm_v, state)
     state[2] += TURN * np.floor((yaw_before - state[2]) / TURN + 0.5)
     w, x, y, z = q[3], q[4], q[5], q[6]
     tilt[0] = 2.0 * np.arcsin(min(np.sqrt((x * x + y * y) / (w * w + x * x + y * y + z * z)), 1.0))
-    from_base(base, rotation, tool, tool_rotation, seen, turned)
+    from_base(at.base, at.rotation, tool, at.tool_rotation, found.seen, found.turned)
     hand[0], hand[1], hand[2] = tool[0], tool[1], tool[2] - height
-    quaternion_of(tool_rotation, hand_quaternion)
+    quaternion_of(at.tool_rotation, found.hand_quaternion)
 
 
 @step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,20 +51,44 @@ class SideSlip:
         self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))
 
 
+class Speeds(NamedTuple):
+    """How fast base and arm move."""
+
+    drives: Floats  # (nu), rates of the inputs
+    mean: Floats  # (m) [rad/s], of the arm
+    sag: Floats  # (m) [rad/s], beyond that
+
+
+class Smoothed(NamedTuple):
+    """Of x, y and the arm (2 + m each): what was read, how fast it changes, and its value."""
+
+    read: Floats
+    rates: Floats
+    value: Floats
+
+
 @step
 def smooth_pose(
-    m: int, base: int, pose: Floats, drives: Floats, mean: Floats, sag: Floats, arm: Floats, read: Floats, rates: Floats, value: Floats,
-    started: bool, age: float, time: float, h: float,
-) -> None:  # fmt: skip
-    """x and y of the base's ``pose`` (3) and the ``arm`` (m), smoothed, into ``value`` (2 + m). ``drives`` (nu): rates of the inputs, of which
-    the base's begin at ``base``; the arm turns at ``mean`` + ``sag`` (m) [rad/s]."""
+    m: int,
+    base: int,
+    pose: Floats,
+    arm: Floats,
+    speeds: Speeds,
+    smoothed: Smoothed,
+    started: bool,
+    age: float,
+    time: float,
+    h: float,
+) -> None:
+    """x and y of the base's ``pose`` (3) and the ``arm`` (m) are ``smoothed``. The base's ``drives`` begin at ``base``."""
+    drives, read, rates = speeds.drives, smoothed.read, smoothed.rates
     c, s = np.cos(pose[2]), np.sin(pose[2])
     vx, vy = drives[base], drives[base + 1]
     rates[0], rates[1] = c * vx - s * vy, s * vx + c * vy
     read[0], read[1] = pose[0], pose[1]
     for i in range(m):
-        rates[2 + i], read[2 + i] = mean[i] + sag[i], arm[i]
-    smooth(2 + m, read, rates, value, started, age, time, h)
+        rates[2 + i], read[2 + i] = speeds.mean[i] + speeds.sag[i], arm[i]
+    smooth(2 + m, read, rates, smoothed.value, started, age, time, h)
 
 
 #: Weight in the odometry of a wheel that slips.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,17 +26,35 @@ NEAR = 0.02
 ANNOUNCED = 0.05
 
 
+class Unit(NamedTuple):
+    """An inertial unit and its readings."""
+
+    mount: Floats  # (3) [m]
+    gyro: Floats  # (3) [rad/s]
+    accel: Floats  # (3) [m/s²]
+
+
+class Memory(NamedTuple):
+    """What is known of the motion, and of the unit."""
+
+    inertial: Floats  # (2) [m/s], velocity of the unit
+    averaged: Floats  # (2) [m/s], that of the base, averaged as the wheels' is
+    zero: Floats  # (2) [m/s²], of accelerations
+    tilt: Floats  # (2) [rad], about x and y
+    rate_zero: Floats  # (2) [rad/s], of the rates about x and y
+
+
 @step
 def inertial_velocity(
-    n: int, seen: Floats, announced: Floats, gyro: Floats, accel: Floats, inertial: Floats, averaged: Floats, zero: Floats,
-    tilt: Floats, rate_zero: Floats, weights: Floats, mount: Floats, over: float, h: float, yaw_rate: float, calm: bool,
+    n: int, seen: Floats, announced: Floats, weights: Floats, unit: Unit, memory: Memory, over: float, h: float, yaw_rate: float,
+    calm: bool,
 ) -> None:  # fmt: skip
-    """Over h [s] with readings ``gyro`` (3) [rad/s] and ``accel`` (3) [m/s²], and ``yaw_rate`` [rad/s] without its bias: the
-    ``inertial`` velocity (2) [m/s] of the unit at ``mount`` (3) [m], the base's ``averaged`` (2) over a time ``over`` [s] as velocities
-    ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that go as the unit does. ``calm``: the wheels agree,
-    and the velocity follows them, but for those ``announced`` (n), 1 for wheels that are known to slip; else it follows those near it,
-    the less the fewer they are. ``tilt`` (2) [rad] about x and y, ``zero`` (2) of accelerations and ``rate_zero`` (2) of the rates about x and y are
-    memory."""
+    """Over h [s] with the readings of the ``unit`` and ``yaw_rate`` [rad/s] without its bias: the ``memory``, whose velocity is
+    averaged over a time ``over`` [s] as velocities ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that
+    go as the unit does. ``calm``: the wheels agree, and the velocity follows them, but for those ``announced`` (n), 1 for wheels that
+    are known to slip; else it follows those near it, the less the fewer they are."""
+    mount, gyro, accel, inertial, averaged = unit.mount, unit.gyro, unit.accel, memory.inertial, memory.averaged
+    zero, tilt, rate_zero = memory.zero, memory.tilt, memory.rate_zero
     rests = max(abs(inertial[0]), abs(inertial[1])) < REST
     for j in range(2):
         rate_zero[j] += h / (ZEROS_AT_REST if rests else ZEROS) * (gyro[j] - rate_zero[j])

@@ -62,15 +62,36 @@ def contact_slips(w: Wheels, n: int, count: int) -> None:
                 slip_of(w, i, c)
 
 
+class Legs(NamedTuple):
+    """Where wheels are on the base."""
+
+    hinge: Floats  # (n, 2) [m]
+    length: Floats  # (n) [m]
+    leg_heading: Floats  # (n) [rad], at a leg's zero
+    slides: Floats  # (n), 1 of legs that slide
+    leg: Floats  # (n) [rad or m], their positions
+
+
+class Contradiction(NamedTuple):
+    """What wheels said, and what is averaged of it: see :func:`detect_contradiction`."""
+
+    residual: Floats
+    twist: Floats
+    contradiction: Floats
+    velocity: Floats
+    odd: Floats
+
+
 @step
 def detect_contradiction(
-    n: int, hinge: Floats, length: Floats, leg_heading: Floats, slides: Floats, leg: Floats, residual: Floats, twist: Floats,
-    contradiction: Floats, velocity: Floats, odd: Floats, over: float, threshold: float, h: float, turn: float,
-    gyro: bool,
-) -> bool:  # fmt: skip
+    n: int, legs: Legs, wheels: Contradiction, over: float, threshold: float, h: float, turn: float, gyro: bool
+) -> bool:
     """After h [s] in which the wheels' ``twist`` (3) left a ``residual`` (n, 2) [m] and the gyro turned by ``turn`` [rad]: ``odd`` (n) [s],
     the averaged ``contradiction`` and each wheel's ``velocity`` (n, 2) of the base [m/s]. Whether they contradict each other by more
     than the ``threshold`` [m/s]."""
+    hinge, length, leg_heading, slides, leg = legs.hinge, legs.length, legs.leg_heading, legs.slides, legs.leg
+    residual, twist, odd = wheels.residual, wheels.twist, wheels.odd
+    contradiction, velocity = wheels.contradiction, wheels.velocity
     for i in range(n):
         odd[i] = max(odd[i] - h, 0.0)
     if h <= 0.0:
