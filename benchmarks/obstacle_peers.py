@@ -36,7 +36,7 @@ from wbmpc.simulation.obstacles import SimulatedObstacles
 from wbmpc.tasks.following import Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.obstacles import Among, static_scene
-from wbmpc.tasks.settings import moving_base
+from wbmpc.mpc.route import base_part
 
 Array = np.ndarray
 #: μ and δ [m] of the relaxed barriers.
@@ -125,7 +125,7 @@ class KinematicWorld:
         enable(spec, description.home, description.model)
         self.model = m = spec.compile()
         self.around.bind(m)
-        part = moving_base(robot, "obstacle_peers")
+        part = base_part(robot, "obstacle_peers")
         flat = [n for group in robot.state.groups.values() for n in group]
         flat[part] = PLANAR
         known = {m.joint(j).name for j in range(m.njnt)}

@@ -23,7 +23,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Cylinder
 from wbmpc.tasks.rooms import EXPERIMENT, Room, RoomSettings, draw_room
-from wbmpc.tasks.settings import moving_base
+from wbmpc.mpc.route import base_part
 
 ROOT = Path(__file__).parents[1]
 Array = NDArray[np.float64]
@@ -143,7 +143,7 @@ def main() -> None:
         asked = next(c["settings"] for c in combinations if c["settings"]["things"] == things)
         settings = RoomSettings.model_validate(asked)
         robot = load_robot(settings.robot)
-        start = robot.home[moving_base(robot, "rooms")]
+        start = robot.home[base_part(robot, "rooms")]
         rooms.append((f"{things} things, seed {seed}", draw_room(settings, robot, seed), ways(settings, seed)))
         given.out.write_text(drawn(rooms, start))  # after each: the runs take long
     if not rooms:

@@ -9,8 +9,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.clearance.compilation import compiled, step
-from wbmpc.clearance.gap_step import gap
-from wbmpc.clearance.pairs_step import Gaps, bound, place_solids, write_gap
+from wbmpc.clearance.pairs_step import Gaps, bound, gap, place_solids, write_gap
 from wbmpc.clearance.simplex_step import Work
 from wbmpc.clearance.support_step import Solids
 from wbmpc.clearance.table import SolidTable
