@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import logging
 import math
+from functools import cached_property
 from operator import mul
 
 import numpy as np
 
+from wbmpc.bases.ball.control_steps import ControlSteps
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_steps import ModelSteps
+from wbmpc.bases.ball.model_steps import ModelSteps, is_compiled_model
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.self_contact import SelfContact
@@ -107,10 +109,28 @@ class BallController:
             self._steps_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
         return known[2]
 
-    def _through(self, x: np.ndarray, torques: np.ndarray) -> np.ndarray:
-        """The state x after ``torques`` (k, n + m), each for a period."""
-        if not len(torques):
+    @cached_property
+    def _follows(self) -> bool:
+        """Whether policies are followed by compiled steps: the law is this class's own."""
+        return type(self)._law is BallController._law and self._control_steps is not None
+
+    @cached_property
+    def _control_steps(self) -> ControlSteps | None:
+        """Policies and the model in compiled steps; None where a subclass has a model of its own, or another one's does not fit."""
+        if not self._steps_alike or not is_compiled_model(self.robot, self.mpc.solver):
+            return None
+        if self.mpc.solver.problem.nu != self.limit.size:
+            return None
+        return ControlSteps(self.mpc.solver, self.limits, self.sent, self.period)
+
+    def _through(self, x: np.ndarray, rows: slice) -> np.ndarray:
+        """The state x after these rows of the torques that were sent, each for a period."""
+        if rows.start == rows.stop:
             return x
+        found = None if self._control_steps is None else self._control_steps.through(x, rows)
+        if found is not None:
+            return found
+        torques = self.sent.rows[rows]
         if self._steps_alike:
             return self._step(x, torques, self.period)
         for torque in torques:  # what else moves is for one step
@@ -286,12 +306,14 @@ class BallController:
         """The state at time ``until`` under the policies that will be active, through the drives' lag."""
         x, torque, dead = self.ahead(), self.sent.last, self.sent.dead * self.period
         for k in range(round((until - t) / self.period)):
-            policy = plans.at(t + k * self.period)
+            policy, now = plans.at(t + k * self.period), t + dead + k * self.period
             if policy is None:
                 break
-            target = self.limits.limited(self._law(t + dead + k * self.period, x, policy)[1], x)
-            torque = self.sent.follow(target, torque)
-            x = self._step(x, torque, self.period)
+            found = self._control_steps.foresee(policy, now, x, torque) if self._follows else None
+            if found is None:
+                torque = self.sent.follow(self.limits.limited(self._law(now, x, policy)[1], x), torque)
+                found = self._step(x, torque, self.period), torque
+            x, torque = found
         return Observation(until + dead, x)
 
     def stop(self) -> BallCommand:
@@ -303,8 +325,12 @@ class BallController:
         forecast, plan = self.forecast, plans.current
         if forecast is not None and plan is not None and plan is not forecast.seen:
             stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
-        x = self.ahead()
-        self.feedforward, self.target = self._law(t + self.sent.dead * self.period, x, plans.current, acts=True)
+        x, now = self.ahead(), t + self.sent.dead * self.period
+        found = self._control_steps.act(plan, now, x) if self._follows and plan is not None else None
+        if found is not None:
+            self.feedforward, self.target, self.torque = found
+            return BallCommand(self.torque)
+        self.feedforward, self.target = self._law(now, x, plan, acts=True)
         return self._drive(self.limits.limited(self.target, x))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:

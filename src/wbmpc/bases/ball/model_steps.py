@@ -61,9 +61,7 @@ class ModelSteps:
         cls, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None
     ) -> ModelSteps | None:
         """None where the solver is interpreted, has other states and inputs than the robot, or the model cannot be compiled."""
-        if not isinstance(solver, Solver) or solver.settings.backend == "interpreted":
-            return None
-        if solver.problem.nx != robot.state.size or robot.state.size != 2 * ball_base(robot).nq:
+        if not is_compiled_model(robot, solver):
             return None
         try:
             return cls(robot, solver, observer, payload)
@@ -85,6 +83,13 @@ class ModelSteps:
         with self._solver.exclusive:
             observer.learning = self._learn(observer.started, t, h)
         observer.started = True
+
+
+def is_compiled_model(robot: RobotModel, solver: object) -> bool:
+    """Whether a ``solver`` is compiled, and has the states of the ``robot`` alone and the torques of its drives."""
+    if not isinstance(solver, Solver) or solver.settings.backend == "interpreted":
+        return False
+    return solver.problem.nx == robot.state.size == 2 * ball_base(robot).nq
 
 
 def _inertia(robot: RobotModel) -> CompiledFunction:

@@ -26,9 +26,10 @@ class TorqueLimits:
         n = self.spin.size
         arrays = {"torque": np.zeros(size), "out": np.zeros(size), "at": np.zeros(n + 1), "room": np.zeros(n + 1)}
         arrays |= {"lean": np.zeros(2), "turn": np.zeros(n), "limit": self.limit.copy()}
-        self._arrays = arrays | {"effect": effect.ravel(), "causes": np.linalg.pinv(effect).ravel()}
-        largest = robot.description.limits.spin_effort
-        self._limit = bind(limit_torques, self._arrays, backend, n=n, size=size, largest=largest)
+        #: everything by its name in :class:`wbmpc.bases.ball.torque_step.Torques`
+        self.arrays = arrays | {"effect": effect.ravel(), "causes": np.linalg.pinv(effect).ravel()}
+        self.constants = {"wheels": n, "size": size, "largest": robot.description.limits.spin_effort}
+        self._limit = bind(limit_torques, self.arrays, backend, **self.constants)
 
     def limited(self, torque: Array, state: Array) -> Array:
         """Torques within the limits, for a base that leans as in the ``state`` (nx). Wheels that are clipped one by one would spin the ball.
@@ -36,7 +37,7 @@ class TorqueLimits:
         What leans stays as it is while some spin within its limit lets all wheels have it, and the spin nearest to the one
         asked for is taken; what leans is scaled as a whole only where there is none.
         """
-        self._arrays["torque"][:] = torque
-        self._arrays["lean"][:] = state[LEAN]
+        self.arrays["torque"][:] = torque
+        self.arrays["lean"][:] = state[LEAN]
         self._limit()
-        return self._arrays["out"].copy()
+        return self.arrays["out"].copy()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.bases.ball.compilation import step
@@ -11,34 +13,38 @@ from wbmpc.kernel.ir import Floats
 MIN_TURN = 1e-9
 
 
+class Torques(NamedTuple):
+    """What is asked of wheels and joints, ``size`` drives together, and what of it is within limits; N m."""
+
+    wheels: int
+    size: int
+    torque: Floats  # (size), as asked for
+    out: Floats  # (size), within the limits
+    lean: Floats  # (2) [rad] of the base, pitch and roll
+    effect: Floats  # (3, wheels), of the wheels' torques on the ball
+    causes: Floats  # (wheels, 3), the wheels' torques for one on the ball
+    turn: Floats  # (wheels), those for one of spin and nothing else
+    limit: Floats  # (size)
+    at: Floats  # (wheels + 1)
+    room: Floats  # (wheels + 1)
+    largest: float  # spin, about the vertical
+
+
 @step
-def limit_torques(
-    n: int,
-    size: int,
-    torque: Floats,
-    out: Floats,
-    lean: Floats,
-    effect: Floats,
-    causes: Floats,
-    turn: Floats,
-    limit: Floats,
-    at: Floats,
-    room: Floats,
-    largest: float,
-) -> None:
-    """``torque`` (size) [N m] of n wheels and joints within ``limit`` (size), into ``out``; at most ``largest`` of spin, which is what
-    the wheels' ``effect`` (3, n) on the ball has about the vertical of a base with this ``lean`` (2) [rad], pitch and roll. ``turn`` (n):
-    what ``causes`` (n, 3) one of spin and nothing else. Spins that wheel i can have beside c times what leans are -c at_i ± room_i; so is
-    what there may be of it."""
-    x, level = -np.sin(lean[0]), np.cos(lean[0])
-    y, z = level * np.sin(lean[1]), level * np.cos(lean[1])
+def limit_torques(drives: Torques) -> None:
+    """Spins that wheel i can have beside c times what leans are -c at_i ± room_i; so is what there may be of it."""
+    n, torque, out, turn, limit, at, room = (
+        drives.wheels, drives.torque, drives.out, drives.turn, drives.limit, drives.at, drives.room,
+    )
+    x, level = -np.sin(drives.lean[0]), np.cos(drives.lean[0])
+    y, z = level * np.sin(drives.lean[1]), level * np.cos(drives.lean[1])
     spin = 0.0
     for i in range(n):
-        spin += (effect[i] * x + effect[n + i] * y + effect[2 * n + i] * z) * torque[i]
-        turn[i] = causes[3 * i] * x + causes[3 * i + 1] * y + causes[3 * i + 2] * z
+        spin += (drives.effect[i] * x + drives.effect[n + i] * y + drives.effect[2 * n + i] * z) * torque[i]
+        turn[i] = drives.causes[3 * i] * x + drives.causes[3 * i + 1] * y + drives.causes[3 * i + 2] * z
         if abs(turn[i]) < MIN_TURN:
             turn[i] = MIN_TURN
-    at[n], room[n] = 0.0, largest
+    at[n], room[n] = 0.0, drives.largest
     for i in range(n):
         out[i] = torque[i] - spin * turn[i]
         at[i], room[i] = out[i] / turn[i], limit[i] / abs(turn[i])
@@ -52,5 +58,5 @@ def limit_torques(
     spin = min(max(spin, low), high)
     for i in range(n):  # only rounding is clipped
         out[i] = min(max(scale * out[i] + spin * turn[i], -limit[i]), limit[i])
-    for i in range(n, size):
+    for i in range(n, drives.size):
         out[i] = min(max(torque[i], -limit[i]), limit[i])
