@@ -21,8 +21,8 @@ from wbmpc.kernel.ir import BOOL, INT, INTS, NONE, NUM, NUMS
 from wbmpc.kernel.library import Function
 
 Backend = Literal["compiled", "interpreted"]
-#: Numbers, whole numbers, truth values and addresses of arrays as ``struct`` packs them into eight bytes.
-_WORDS = {NUM: "d", INT: "q", BOOL: "?7x", NUMS: "q", INTS: "q"}
+#: Numbers, whole numbers and truth values as ``struct`` packs them into eight bytes.
+_WORDS = {NUM: "d", INT: "q", BOOL: "?7x"}
 Memory = Mapping[str, NDArray[Any]]
 
 
@@ -33,22 +33,18 @@ class Step:
 
     Arrays are contiguous, of float64 or int64, and do not overlap; they stay where they are, so callers write into them. A call does
     not allocate, look anything up, or let go of the interpreter. ``backend``: machine code, or the same source as ordinary Python.
-    ``changing``: names of arrays that are others in every call, among its ``numbers`` then: as addresses, of which nothing is checked
-    (interpreted: the arrays).
     Compiles, or loads from the cache, when it is made. Raises :class:`KernelError` for arrays that cannot be used and for names
     that are no arguments.
     """
 
     def __init__(
-        self, function: Callable[..., Any], memory: Memory, backend: Backend = "compiled", changing: Sequence[str] = (),
-        **constants: int | float,
-    ) -> None:  # fmt: skip
+        self, function: Callable[..., Any], memory: Memory, backend: Backend = "compiled", **constants: int | float
+    ) -> None:
         if backend not in ("compiled", "interpreted"):
             raise unknown_name("backend", backend, ("compiled", "interpreted"))
         if not isinstance(function, Function) or not function.stepped:
             raise KernelError(f"{function}: no step of a library (decorator 'step')")
         self._function, self._memory, self._backend, self._constants = function, dict(memory), backend, constants
-        self._changing = changing
         self._bind()
 
     def _bind(self) -> None:
@@ -79,7 +75,7 @@ class Step:
         runs: list[list[int]] = []  # of free arguments that follow each other
         for i, (name, kind, value) in enumerate(zip(f.argument_names, f.signature.arguments, self._given, strict=True)):
             if name in self._free:
-                if kind in (NUMS, INTS) and name not in self._changing:
+                if kind not in _WORDS:
                     raise KernelError(f"{f.signature.symbol}: there is no array '{name}'")
                 if not runs or runs[-1][-1] != i - 1:
                     runs.append([])
@@ -128,16 +124,13 @@ class Step:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Step:
         """Arrays move with a copy of what owns them: addresses are taken again."""
-        return Step(self._function, deepcopy(self._memory, memo), self._backend, self._changing, **self._constants)
+        return Step(self._function, deepcopy(self._memory, memo), self._backend, **self._constants)
 
 
-def bind(
-    function: Callable[..., Any], arrays: Memory, backend: Backend = "compiled", changing: Sequence[str] = (),
-    **constants: int | float,
-) -> Step:  # fmt: skip
+def bind(function: Callable[..., Any], arrays: Memory, backend: Backend = "compiled", **constants: int | float) -> Step:
     """A :class:`Step` on those of the ``arrays`` that the function has arguments for: several steps share one dictionary."""
     names = function.argument_names if isinstance(function, Function) else ()
-    return Step(function, {name: arrays[name] for name in names if name in arrays}, backend, changing, **constants)
+    return Step(function, {name: arrays[name] for name in names if name in arrays}, backend, **constants)
 
 
 def zeros(record: Callable[..., Any], n: int) -> dict[str, NDArray[np.float64]]:

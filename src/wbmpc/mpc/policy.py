@@ -204,11 +204,6 @@ class Policy:
     def _code(self) -> _Code:
         return _Code(self)
 
-    @property
-    def plan(self) -> tuple[int, ...]:
-        """The fields of :class:`wbmpc.solver.feedback.Plan` for compiled steps: addresses of arrays that live as long as the policy, sizes."""
-        return self._code.plan
-
     def __getstate__(self) -> dict[str, Any]:
         """Without what is bound to this process."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_code", "_nodes")}
@@ -255,7 +250,7 @@ class _Code:
         times, x, u, gain, table, active_at, moving = (a.ctypes.data for a in self._kept)
         self._room, self._sizes = 3 * nu + rows, (nx, nu, 3 * nu + rows)
         self._law = np.array([times, x, u, gain, table, active_at, moving, n, nx, nu, rows, int(moves)], np.int64)
-        self.plan = tuple(self._law.tolist())
+        self._held = (*self._law.tolist(), 0)
 
     def input(self, t: float, x: np.ndarray, limited: bool) -> tuple[np.ndarray, bool]:
         """With feedback; whether it was cut. Raises :class:`NotFinite`."""
@@ -267,5 +262,5 @@ class _Code:
     def hold(self, t: float, u: np.ndarray) -> bool:
         """Cut a planned input, in place; whether it was."""
         out, room = ctypes.c_int64(), np.empty(self._room)  # of this call's own: threads share a policy
-        self._hold(*self.plan, 0, t, room.ctypes.data, u.ctypes.data, ctypes.addressof(out))
+        self._hold(*self._held, t, room.ctypes.data, u.ctypes.data, ctypes.addressof(out))
         return out.value > 0

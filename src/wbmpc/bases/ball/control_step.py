@@ -28,14 +28,16 @@ def through(model: Model, nx: int, nu: int, rows: Floats, first: int, count: int
     return finite
 
 
-@MODEL.step
-def act(plan: Plan, drives: Torques, trial: Floats, feedforward: Floats, rows: Floats, row: int, blend: float, t: float) -> bool:
-    """Torques of the ``plan`` at time t [s] in the state ``trial``, within limits, and what drives with a lag make of them, in a ``row``
-    after the one before; ``blend``: how much of the way they go. False where they are not finite; nothing is changed but room then."""
+@MODEL.compiled
+def follow(
+    plan: Plan, drives: Torques, x: Floats, feedforward: Floats, rows: Floats, row: int, blend: float, t: float
+) -> bool:  # fmt: skip
+    """Torques of the ``plan`` at time t [s] in the state x, within limits, and what drives with a lag make of them, in a ``row`` after the
+    one before; ``blend``: how much of the way they go. False where they are not finite; nothing is changed but room then."""
     size, k = drives.size, interval(plan.times, plan.n, t)
-    if not (np.isfinite(t) and law(plan, t, trial, drives.torque)):
+    if not (np.isfinite(t) and law(plan, t, x, drives.torque)):
         return False
-    drives.lean[0], drives.lean[1] = trial[3], trial[4]
+    drives.lean[0], drives.lean[1] = x[3], x[4]
     limit_torques(drives)
     for i in range(size):
         feedforward[i] = plan.inputs[k * plan.nu + i]
@@ -45,11 +47,22 @@ def act(plan: Plan, drives: Torques, trial: Floats, feedforward: Floats, rows: F
 
 
 @MODEL.step
+def act(
+    plan: Plan, drives: Torques, model: Model, feedforward: Floats, rows: Floats, blend: float, first: int, count: int, row: int,
+    t: float, h: float,
+) -> bool:  # fmt: skip
+    """:func:`follow` in the state that :func:`through` finds."""
+    if not through(model, plan.nx, plan.nu, rows, first, count, h):
+        return False
+    return follow(plan, drives, model.trial, feedforward, rows, row, blend, t)
+
+
+@MODEL.step
 def foresee(
     plan: Plan, drives: Torques, model: Model, feedforward: Floats, rows: Floats, blend: float, t: float, h: float
 ) -> bool:  # fmt: skip
-    """:func:`act` in the first two ``rows``, and what the model makes of the state ``trial`` in h [s]."""
-    if not act(plan, drives, model.trial, feedforward, rows, 1, blend, t):
+    """:func:`follow` in the first two ``rows``, and what the model makes of the state ``trial`` in h [s]."""
+    if not follow(plan, drives, model.trial, feedforward, rows, 1, blend, t):
         return False
     for i in range(drives.size):
         rows[i] = rows[drives.size + i]

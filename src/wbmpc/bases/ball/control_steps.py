@@ -11,7 +11,6 @@ from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.mpc.policy import Policy
 from wbmpc.solver import Solver
-from wbmpc.solver.feedback import Plan
 
 Array = NDArray[np.float64]
 
@@ -27,16 +26,31 @@ class ControlSteps:
     def __init__(
         self, solver: Solver, limits: TorqueLimits, sent: SentTorques, period: float, backend: Backend = "compiled"
     ) -> None:
-        nx, nu = self._sizes = solver.problem.nx, solver.problem.nu
-        self._solver, self._sent, self._period = solver, sent, period
-        own = {"state": np.zeros(nx), "acted": np.zeros(nu), "trial": np.zeros(nx), "feedforward": np.zeros(nu)}
-        a = self._arrays = solver.integrator | limits.arrays | own
-        self._next = np.zeros(2 * nu)
-        law = {"changing": [name for name, kind in Plan.__annotations__.items() if "Floats" in str(kind)], "blend": sent.blend}
-        rows = {"rows": sent.rows.reshape(-1)}
-        self._through = bind(through, a | rows, backend, nx=nx, nu=nu)
-        self._act = bind(act, a | rows, backend, **law, **limits.constants)
-        self._foresee = bind(foresee, a | {"rows": self._next}, backend, **law, **limits.constants)
+        problem, self._solver, self._sent, self._period = solver.problem, solver, sent, period
+        n, nx, nu = solver.ocp.intervals, problem.nx, problem.nu
+        self._plan = np.zeros(n + 1), np.zeros((n + 1, nx)), np.zeros((n, nu)), np.zeros((n, nu, nx))
+        self._policy: Policy | None = None  # whose plan that is
+        a = dict(zip(("times", "states", "inputs", "gains"), (each.reshape(-1) for each in self._plan), strict=True))
+        a |= {name: np.zeros(size) for name, size in {"state": nx, "acted": nu, "trial": nx, "feedforward": nu}.items()}
+        a |= solver.integrator | limits.arrays | {name: np.zeros(1) for name in ("limits", "active", "moving")}
+        self._arrays, self._next, sizes = a, np.zeros(2 * nu), {"nx": nx, "nu": nu}
+        law = {**sizes, "r": 0, "moves": 0, "blend": sent.blend, **limits.constants}
+        a["rows"] = sent.rows.reshape(-1)
+        self._through = bind(through, a, backend, **sizes)
+        self._act = bind(act, a, backend, **law)
+        self._foresee = bind(foresee, a | {"rows": self._next}, backend, **law)
+
+    def _take(self, policy: Policy) -> bool:
+        """Whether the plan of a ``policy`` is one that fits: it is here then."""
+        n, (times, states, inputs, gains) = len(policy.u), self._plan
+        own, given = (times[: n + 1], states[: n + 1], inputs[:n], gains[:n]), (policy.times, policy.x, policy.u, policy.gain)
+        for mine, its in zip(own, given, strict=True):
+            if mine.shape != its.shape or not n:
+                return False
+        for mine, its in zip(own, given, strict=True):
+            mine[:] = its
+        self._policy = policy
+        return True
 
     def through(self, x: Array, rows: slice) -> Array | None:
         """The state (nx) after ``x`` under these rows of the torques that were sent, each for a period."""
@@ -48,24 +62,28 @@ class ControlSteps:
             known = self._through(rows.start, rows.stop - rows.start, self._period)
         return a["trial"].copy() if known else None
 
-    def act(self, policy: Policy, t: float, x: Array) -> tuple[Array, Array, Array] | None:
-        """Torques (nu) [N m] of a ``policy`` at time t [s] in the state x (nx), without and with feedback, and within limits, which go to the
-        drives."""
-        plan, a = policy.plan, self._arrays
-        if plan[8:10] != self._sizes:
+    def act(self, policy: Policy, t: float, x: Array, rows: slice) -> tuple[Array, Array, Array] | None:
+        """Torques (nu) [N m] of a ``policy`` at time t [s] in the state (nx) that follows from x as in :meth:`through`, without and with
+        feedback, and within limits, which go to the drives."""
+        a = self._arrays
+        if (policy is not self._policy and not self._take(policy)) or x.shape != a["state"].shape:
             return None
-        a["trial"][:] = x
-        if not self._act(*plan, self._sent.begin(), t):
+        a["state"][:] = x
+        with self._solver.exclusive:
+            known = self._act(
+                len(policy.u), rows.start, rows.stop - rows.start, self._sent.begin(), t, self._period
+            )
+        if not known:
             return None
         self._sent.end()
         return a["feedforward"].copy(), a["torque"].copy(), a["out"].copy()
 
     def foresee(self, policy: Policy, t: float, x: Array, torque: Array) -> tuple[Array, Array] | None:
         """State (nx) and torques (nu) of the drives a period after these under a ``policy`` at time t [s]."""
-        plan, trial, (_, nu) = policy.plan, self._arrays["trial"], self._sizes
-        if plan[8:10] != self._sizes:
+        trial, nu = self._arrays["trial"], torque.size
+        if policy is not self._policy and not self._take(policy):
             return None
         trial[:], self._next[:nu] = x, torque
         with self._solver.exclusive:
-            known = self._foresee(*plan, t, self._period)
+            known = self._foresee(len(policy.u), t, self._period)
         return (trial.copy(), self._next[:nu].copy()) if known else None

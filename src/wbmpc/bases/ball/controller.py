@@ -83,12 +83,6 @@ class BallController:
             own = SelfContact(robot) if robot.description.collision.self.pairs else None
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
-        self._known: tuple[object, int, np.ndarray] | None = (
-            None  # of which measurement and how many commands, the state now
-        )
-        self._known_acted: tuple[object, int, np.ndarray] | None = (
-            None  # the same of the torques that acted at the measurement
-        )
         self._steps_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
         self._steps_alike = type(self)._step is BallController._step
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
@@ -274,11 +268,7 @@ class BallController:
 
     def _acted(self) -> np.ndarray:
         """The torques (n + m) that acted at the measurement."""
-        measured, sent = self.measured, self.sent
-        known = self._known_acted
-        if known is None or known[0] is not measured or known[1] != sent.count:
-            self._known_acted = known = measured, sent.count, sent.acted(self._late())
-        return known[2]
+        return self.sent.acted(self._late())
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
@@ -292,15 +282,14 @@ class BallController:
 
     def ahead(self) -> np.ndarray:
         """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
-        known, measured, sent = self._known, self.measured, self.sent
-        if known is None or known[0] is not measured or known[1] != sent.count:
-            assert measured is not None
-            if self._steps_alike:
-                x = self._through(measured.state, sent.since(self._late() + sent.dead, 0))
-            else:  # what a subclass adds to the state now goes along
-                x = self._through(self.state(), sent.since(sent.dead, 0))
-            self._known = known = measured, sent.count, x
-        return known[2].copy()
+        if self._steps_alike:
+            assert self.measured is not None
+            return self._through(self.measured.state, self._until_acting())
+        return self._through(self.state(), self.sent.since(self.sent.dead, 0))  # what a subclass adds to the state now goes along
+
+    def _until_acting(self) -> slice:
+        """Rows of the torques that act from the measurement to when the next command does."""
+        return self.sent.since(self._late() + self.sent.dead, 0)
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until`` under the policies that will be active, through the drives' lag."""
@@ -325,11 +314,13 @@ class BallController:
         forecast, plan = self.forecast, plans.current
         if forecast is not None and plan is not None and plan is not forecast.seen:
             stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
-        x, now = self.ahead(), t + self.sent.dead * self.period
-        found = self._control_steps.act(plan, now, x) if self._follows and plan is not None else None
+        now, measured, found = t + self.sent.dead * self.period, self.measured, None
+        if self._follows and plan is not None and measured is not None:
+            found = self._control_steps.act(plan, now, measured.state, self._until_acting())
         if found is not None:
             self.feedforward, self.target, self.torque = found
             return BallCommand(self.torque)
+        x = self.ahead()
         self.feedforward, self.target = self._law(now, x, plan, acts=True)
         return self._drive(self.limits.limited(self.target, x))
 

@@ -84,9 +84,9 @@ class FallPredictor:
         if policy is self.seen:
             return []
         self.seen = policy
-        soon = policy.times[1:] <= policy.times[0] + self._ahead
-        force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
-        maximum = self._maximum(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
+        soon = int(policy.times.searchsorted(policy.times[0] + self._ahead, "right")) - 1
+        force = np.zeros((soon, 2)) if self._force is None else policy.u[:soon, self._force][:, :2]
+        maximum = self._maximum(policy.x[1 : soon + 1], payload, force, shift)
         self._bad = self._bad + 1 if maximum > self.reach else 0
         if self._bad >= self._plans:
             return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", maximum)]
