@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-import math
+from collections.abc import Sequence
 from functools import cached_property
-from operator import mul
+from operator import is_, mul
 
 import numpy as np
 
@@ -34,6 +34,8 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the target by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
+#: No push.
+_STILL = (0.0, 0.0)
 #: Innovations of the base's speeds beyond which a force is a push, and no disturbance to learn: of the ball along x and y [m/s], of yaw, pitch
 #: and roll [rad/s].
 GATE = (0.06, 0.06, 0.25, 0.12, 0.12)
@@ -83,8 +85,10 @@ class BallController:
             own = SelfContact(robot) if robot.description.collision.self.pairs else None
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
-        self._steps_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
+        self._steps_of: tuple[object, object, object, ModelSteps | None] | None = None  # of which parts
+        self._leant: tuple[object, object, Sequence[float]] | None = None  # at which measurement, under which disturbance
         self._steps_alike = type(self)._step is BallController._step
+        self._own_parameters = type(self).parameters is BallController.parameters
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
         self.torque = torque.copy()  # what the drives were last asked for
@@ -97,11 +101,10 @@ class BallController:
         """The model in compiled steps; None where a subclass has one of its own."""
         if not self._steps_alike:
             return None
-        parts = (self.observer, self.payload)
-        known = self._steps_of
-        if known is None or known[0] is not parts[0] or known[1] is not parts[1]:
+        parts, known = (self.observer, self.payload, self.lean_control), self._steps_of
+        if known is None or not all(map(is_, known, parts)):
             self._steps_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
-        return known[2]
+        return known[3]
 
     @cached_property
     def _follows(self) -> bool:
@@ -192,15 +195,23 @@ class BallController:
         """The mass [kg] that the end effector is believed to hold."""
         return 0.0 if self.payload is None else self.payload.mass
 
-    def _pushed(self) -> np.ndarray:
+    def _pushed(self) -> Sequence[float] | np.ndarray:
         """The estimated horizontal force (2) [N] at the end effector."""
-        return np.zeros(2)
+        return _STILL
 
-    def _answered(self) -> np.ndarray:
+    def _leans(self) -> Sequence[float]:
+        """:meth:`LeanControl.leans` (6) [m] under the learned disturbance; none without it."""
+        known, measured, control = self._leant, self.measured, self.lean_control
+        if control is None or measured is None:
+            return (0.0,) * 6
+        if known is None or known[0] is not measured or known[1] is not self.disturbance:
+            leans = control.leans(self.disturbance, float(measured.state[2]))
+            self._leant = known = measured, self.disturbance, leans
+        return known[2]
+
+    def _answered(self) -> Sequence[float]:
         """By how much (2) [m] the lean's divergent component counts like more than it is, under the learned disturbance."""
-        if self.lean_control is None or self.measured is None:
-            return np.zeros(2)
-        return self.lean_control.shift(self.disturbance, float(self.measured.state[2]))
+        return self._leans()[:2]
 
     def _detect_pushes(self, x: np.ndarray, h: float) -> None:
         """Estimate a push from the state x, ``h`` [s] after the one before."""
@@ -210,26 +221,34 @@ class BallController:
     def _observe(self, measurement: BallMeasurement) -> None:
         if self.observer is None and self.shoves is None:
             return
-        if self.observer is not None:
-            self._learn(measurement.time, measurement.state, self.period)
-        self.mpc.solver.set_parameters(self.parameters())
+        m, tells = measurement, self._own_parameters
+        if self.observer is None or not self._learn(m.time, m.state, self.period, tells):
+            self.mpc.solver.set_parameters(self.parameters())
 
-    def _learn(self, t: float, x: np.ndarray, h: float) -> None:
-        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
-        observer, n, model = self.observer, ball_base(self.robot).nq, self._model_steps
+    def _learn(self, t: float, x: np.ndarray, h: float, tells: bool = False) -> bool:
+        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the MPC has been told of them, which
+        ``tells``."""
+        observer, model, told = self.observer, self._model_steps, False
         assert observer is not None
         if model is not None:
-            model.learn(t, x, self._acted(), h)
+            more = _STILL if self.shoves is None else self.shoves.room
+            leans = model.learn(t, x, self._acted(), h, tells, more)
+            self.disturbance, told = observer.force, tells and leans is not None
+            if leans is not None:
+                self._leant = self.measured, self.disturbance, leans
         else:
             observer.update(t, x, self._acted(), h)
             if self.payload is not None:
-                self.payload.observe(x[:n], observer.arrays, observer.learning, h)
-        self.disturbance = self._finite(observer.force)
+                self.payload.observe(x[: observer.size], observer.arrays, observer.learning, h)
+            self.disturbance = observer.force
+        if not told:
+            self._finite(self.disturbance)
         if self.lean_control is not None:
-            self.lean_control.check(t, self.disturbance, x)
+            self.lean_control.check(t, self.disturbance, x, self._leans())
+        return told
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
-        if not all(map(math.isfinite, disturbance.tolist())):
+        if not np.isfinite(disturbance).all():
             raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
 
@@ -255,11 +274,8 @@ class BallController:
 
     def _room(self) -> np.ndarray:
         """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
-        pushed = None if self.shoves is None else self.shoves.room
-        if self.lean_control is None or self.measured is None:
-            return np.zeros(2) if pushed is None else pushed
-        learned = self.lean_control.center(self.disturbance, float(self.measured.state[2]))
-        return learned if pushed is None else pushed + learned
+        learned = np.array(self._leans()[4:])
+        return learned if self.shoves is None else self.shoves.room + learned
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""

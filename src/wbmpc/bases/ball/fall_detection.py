@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -78,7 +78,7 @@ class FallPredictor:
         #: the plan that was checked last
         self.seen: Policy | None = None
 
-    def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
+    def update_plan(self, policy: Policy, payload: float = 0.0, shift: Sequence[float] = (0.0, 0.0)) -> list[Fall]:
         """What follows from the active plan (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
         ``shift`` (2) [m] of the divergent component."""
         if policy is self.seen:
@@ -98,20 +98,20 @@ class FallPredictor:
         x: np.ndarray,
         payload: float = 0.0,
         force: ArrayLike = (0.0, 0.0),
-        shift: ArrayLike = (0.0, 0.0),
+        shift: Sequence[float] = (0.0, 0.0),
     ) -> list[Fall]:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        maximum = self._component_of(x, payload, force, *np.asarray(shift, float).tolist())
+        maximum = self._component_of(x, payload, force, *shift)
         if maximum <= self.reach or not math.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
             return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", maximum)]
         return []
 
-    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike) -> float:
+    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: Sequence[float]) -> float:
         """Largest divergent component [m] of states (n, nx) under forces (n, 2) [N] on the end effector, and a ``shift`` (2)."""
-        (x, y), n, most = np.asarray(shift, float).tolist(), self._size, 0.0
+        (x, y), n, most = shift, self._size, 0.0
         for start in range(0, len(states), PLANNED):
             some = slice(start, start + PLANNED)
             count = len(states[some])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from wbmpc.bases.ball.compilation import step
@@ -11,19 +13,31 @@ from wbmpc.kernel.ir import Floats
 BASE = 5
 
 
+class Lean(NamedTuple):
+    """How a robot leans against forces (5) on ball and base; distances [m] of the lean's divergent component."""
+
+    shift: Floats  # (2, 5), by how much it counts like more than it is, in the heading's axes
+    whole: Floats  # (2, 5), what the wheels bear, in the heading's axes
+    heading: Floats  # (5), room for a force
+    leans: Floats  # (6): shift (2), along the world's axes; borne (2), along the heading's; center (2), along the world's
+    spare: float  # what the wheels may bear beside the limit of the lean
+
+
 @step
-def lean_offsets(shift: Floats, whole: Floats, force: Floats, heading: Floats, out: Floats, yaw: float) -> None:
-    """Of a ``force`` (5) in the world's axes: ``shift`` (2, 5) times it along the world's axes, and ``whole`` (2, 5) times it along
-    those of the base's ``heading`` at ``yaw`` [rad], in ``out`` (4)."""
-    c, s = np.cos(yaw), np.sin(yaw)
+def lean_offsets(lean: Lean, force: Floats, yaw: float) -> None:
+    """``leans`` under a ``force`` (5, or more) in the world's axes at a heading ``yaw`` [rad]."""
+    c, s, heading, leans = np.cos(yaw), np.sin(yaw), lean.heading, lean.leans
     for i in range(BASE):
         heading[i] = force[i]
     heading[0], heading[1] = c * force[0] + s * force[1], c * force[1] - s * force[0]
     for k in range(4):
-        out[k] = 0.0
+        leans[k] = 0.0
     for i in range(BASE):
         for k in range(2):
-            out[k] += shift[k * BASE + i] * heading[i]
-            out[2 + k] += whole[k * BASE + i] * heading[i]
-    x, y = out[0], out[1]
-    out[0], out[1] = c * x - s * y, s * x + c * y
+            leans[k] += lean.shift[k * BASE + i] * heading[i]
+            leans[2 + k] += lean.whole[k * BASE + i] * heading[i]
+    x, y = leans[0], leans[1]
+    leans[0], leans[1] = c * x - s * y, s * x + c * y
+    share = min(1.0, lean.spare / max(np.sqrt(leans[2] ** 2 + leans[3] ** 2), 1e-12))
+    x, y = share * leans[2], share * leans[3]
+    leans[4], leans[5] = leans[0] - (c * x - s * y), leans[1] - (s * x + c * y)

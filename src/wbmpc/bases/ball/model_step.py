@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from wbmpc.bases.ball.compilation import MODEL
 from wbmpc.bases.ball.disturbance_step import Clock, Disturbance, Gate, Setting, observe
-from wbmpc.bases.ball.payload_step import Payload, update_mass
+from wbmpc.bases.ball.lean_step import Lean, lean_offsets
+from wbmpc.bases.ball.payload_step import Load, Payload, update_mass
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
 from wbmpc.solver.receding import simulate
 
@@ -41,13 +44,25 @@ def accelerate(model: Model, nx: int, at: int, m: int, acceleration: Floats, h: 
         acceleration[i] = (model.trial[at + i] - model.state[at + i]) / h
 
 
+class Parameters(NamedTuple):
+    """Where a solver's memory has the ``count`` parameters of its model, and what is learned; −1 for what it has not."""
+
+    first: int
+    count: int
+    disturbance: int
+    push: int
+    payload: int
+
+
 @MODEL.step
 def learn(
-    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, weighs: bool, started: bool, t: float, h: float
-) -> float:
-    """Disturbance and payload (``weighs``: there is one) after a state at t [s], h [s] after the one before (``started``: there was one);
-    returns how much of a constant disturbance that can have learned."""
-    n = d.size
+    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, where: Parameters, weighs: bool, leaning: bool,
+    started: bool, t: float, h: float, tells: bool, more_x: float, more_y: float,
+) -> tuple[float, bool]:  # fmt: skip
+    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one) after a state at t [s], h [s] after the one before
+    (``started``: there was one); ``tells``: the model is told of them, with ``more`` of a push. Returns how much of a constant
+    disturbance that can have learned, and whether all is finite; the model is not told else."""
+    n, finite = d.size, True
     if not started:
         g.clock[Clock.NEW_UNTIL] = t + g.settings[Setting.LONGEST]
     for i in range(n):
@@ -67,4 +82,19 @@ def learn(
         for i in range(n):
             p.weight[i] = by.inertial[n * n + i]
         update_mass(d, p, learning, h)
-    return learning
+    if leaning:
+        lean_offsets(lean, d.force, model.state[2])
+    for i in range(n):
+        finite = finite and np.isfinite(d.force[i])
+    x, y, mass = lean.leans[4] + more_x, lean.leans[5] + more_y, p.load[Load.MASS]
+    finite = finite and np.isfinite(x) and np.isfinite(y) and np.isfinite(mass)
+    if finite and tells:
+        for i in range(where.first, where.first + where.count):
+            model.memory[i] = 0.0
+        for i in range(n):
+            model.memory[where.disturbance + i] = d.force[i]
+        if where.push >= 0:
+            model.memory[where.push], model.memory[where.push + 1] = x, y
+        if where.payload >= 0:
+            model.memory[where.payload] = mass
+    return learning, finite

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
+from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_step import accelerate, learn
+from wbmpc.bases.ball.model_step import Parameters, accelerate, learn
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import UnsupportedOperation
@@ -29,7 +30,7 @@ class ModelSteps:
 
     def __init__(
         self, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None,
-        backend: Backend = "compiled",
+        lean: LeanControl | None = None, backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         nx, nu = solver.problem.nx, solver.problem.nu
         joints = robot.state["arm_velocity"]
@@ -46,6 +47,8 @@ class ModelSteps:
             weighing |= {"load": np.zeros(1), "rule": np.zeros(1)}
             if payload is not None:
                 weighing |= payload.bound(observer.arrays)
+            leaning = {name: np.zeros(6) for name in ("shift", "whole", "heading", "leans")} if lean is None else lean.arrays
+            self._leans = leaning["leans"]
             inertial = {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)}
             self._inertia = _inertia(robot)
             constants = {
@@ -53,18 +56,22 @@ class ModelSteps:
                 "gates": observer.gate.size,
                 "inertia": self._inertia.address,
                 "weighs": payload is not None,
+                "leaning": lean is not None,
+                **({"spare": 0.0} if lean is None else lean.constants),
+                **_places(solver),
             }
-            self._learn = bind(learn, own | observer.arrays | weighing | inertial, backend, **constants)
+            self._learn = bind(learn, own | observer.arrays | weighing | leaning | inertial, backend, **constants)
 
     @classmethod
     def of(
-        cls, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None
-    ) -> ModelSteps | None:
+        cls, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None,
+        lean: LeanControl | None,
+    ) -> ModelSteps | None:  # fmt: skip
         """None where the solver is interpreted, has other states and inputs than the robot, or the model cannot be compiled."""
         if not is_compiled_model(robot, solver):
             return None
         try:
-            return cls(robot, solver, observer, payload)
+            return cls(robot, solver, observer, payload, lean)
         except UnsupportedOperation:
             return None
 
@@ -75,14 +82,16 @@ class ModelSteps:
             self._accelerate(h)
         return self.acceleration
 
-    def learn(self, t: float, x: Array, u: Array, h: float) -> None:
-        """As :meth:`DisturbanceObserver.update` and :meth:`PayloadEstimator.observe` after it."""
+    def learn(self, t: float, x: Array, u: Array, h: float, tells: bool = False, more: ArrayLike = (0.0, 0.0)) -> list[float] | None:
+        """As :meth:`DisturbanceObserver.update`, :meth:`PayloadEstimator.observe` after it, and :meth:`LeanControl.leans`, which it returns;
+        None where something is not finite. ``tells``: the solver is told of them then, with ``more`` (2) [m] of a push."""
         observer = self._observer
         assert observer is not None
         self._state[:], self._acted[:] = x, u
         with self._solver.exclusive:
-            observer.learning = self._learn(observer.started, t, h)
+            observer.learning, finite = self._learn(observer.started, t, h, tells, *more)
         observer.started = True
+        return self._leans.tolist() if finite else None
 
 
 def is_compiled_model(robot: RobotModel, solver: object) -> bool:
@@ -90,6 +99,14 @@ def is_compiled_model(robot: RobotModel, solver: object) -> bool:
     if not isinstance(solver, Solver) or solver.settings.backend == "interpreted":
         return False
     return solver.problem.nx == robot.state.size == 2 * ball_base(robot).nq
+
+
+def _places(solver: Solver) -> dict[str, int]:
+    """:class:`Parameters` of a ``solver``."""
+    groups, part = solver.ocp.dynamics.parameters, solver.problem.constant.slices["parameters"]
+    start = (solver.constants.ctypes.data - solver.integrator["memory"].ctypes.data) // 8 + part.start
+    learned = {name: start + groups[name].start if name in groups else -1 for name in Parameters._fields[2:]}
+    return {"first": start, "count": groups.size, **learned}
 
 
 def _inertia(robot: RobotModel) -> CompiledFunction:
