@@ -41,9 +41,9 @@ class Joints(NamedTuple):
 
 
 @step
-def track(j: Joints, h: float, first: bool) -> None:
-    """The readings ``given`` come ``h`` [s] after the message before; ``first``: there was none."""
-    density = j.acceleration**2
+def track(j: Joints, h: float, first: bool) -> bool:
+    """The readings ``given`` come ``h`` [s] after the message before; ``first``: there was none. Whether one of them does not count."""
+    density, any_jumps = j.acceleration**2, False
     for i in range(j.n):
         a = j.aa[i] + 2.0 * h * j.ar[i] + h * h * j.rr[i] + density * h * h * h / 3.0
         b, c = j.ar[i] + h * j.rr[i] + density * h * h / 2.0, j.rr[i] + density * h
@@ -62,9 +62,10 @@ def track(j: Joints, h: float, first: bool) -> None:
         going = min(abs(before), abs(now)) > FLUNG and before * now > 0.0
         stays = had_jumped and abs(now) < off
         jumps = (stays or off > (j.uncounted[i] + LATE) * SPEED_FACTOR * j.speed[i] + SPEED_REST) and not going
-        j.jumped[i] = 1.0 if jumps else 0.0
+        j.jumped[i], any_jumps = 1.0 if jumps else 0.0, any_jumps or jumps
         gain, gain_rate = 0.0, 0.0
         if not jumps:
             j.reading[i], gain, gain_rate = new, a / variance, b / variance
         j.angle[i], j.rate[i] = expected + gain * wrong, j.rate[i] + gain_rate * wrong
         j.aa[i], j.ar[i], j.rr[i] = (1.0 - gain) * a, (1.0 - gain) * b, c - gain_rate * b
+    return any_jumps

@@ -38,7 +38,7 @@ class JointTracker:
         a = self.arrays = zeros(Joints, n)
         a["speed"] = np.array(np.broadcast_to(scales(who, "speed", speed), n), float)
         a["angle"][:], a["raw"][:], a["aa"][:], a["rr"][:] = start, start, 1e-2, 1e-2
-        self._first = True
+        self._first, self.any_jumped = True, False
         constants = {"encoder": encoder, "age": age, "jitter": jitter, "acceleration": acceleration}
         self._track = bind(track, a, backend, n=n, **constants)
 
@@ -80,12 +80,15 @@ class JointTracker:
     def update(self, interval: float, reading: Array) -> None:
         """``interval`` [s] since the ``reading`` (n) [rad] before. Raises :class:`InputError` for numbers that cannot be."""
         positive_time("joint tracker", interval)
-        reading = numbers("joint tracker", "reading", reading, self.size)
+        self.take_in(interval, numbers("joint tracker", "reading", reading, self.size))
+
+    def take_in(self, interval: float, reading: Array) -> None:
+        """As :meth:`update`, of numbers that have been checked."""
         if interval > GAP:
             self._restart(reading)
         else:
             self.arrays["given"][:] = reading
-            self._track(interval, self._first)
+            self.any_jumped = self._track(interval, self._first)
         self._first = False
 
     def _restart(self, reading: Array) -> None:
@@ -95,4 +98,4 @@ class JointTracker:
             a[name][:] = reading
         for name in ("rate", "ar", "jumped", "uncounted", "moved"):
             a[name][:] = 0.0
-        a["aa"][:], a["rr"][:], a["surprised"][:] = 1e-2, 1.0, 1.0
+        a["aa"][:], a["rr"][:], a["surprised"][:], self.any_jumped = 1e-2, 1.0, 1.0, False

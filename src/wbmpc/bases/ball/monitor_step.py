@@ -38,22 +38,19 @@ class Encoders(NamedTuple):
 
 
 @step
-def has_jumped(e: Encoders) -> bool:
-    """Whether a reading came as a surprise and moved. (One that did not move is what is looked for.)"""
-    found = False
+def watch(e: Encoders, h: float, doubted: bool, known: bool) -> tuple[bool, int]:
+    """Whether a reading came as a surprise and moved (one that did not move is what is looked for); how many encoders, marked in
+    ``standing`` (n), have not moved though they should have: counted again after such a reading and while that is ``doubted``, not
+    at all while accelerations are not ``known``."""
+    surprise, count = False, 0
     for i in range(e.n):
         if e.surprised[i] > 0.0 and abs(e.arm[i] - e.anchor[i]) > e.still:
-            found = True
-    return found
-
-
-@step
-def detect_frozen(e: Encoders, h: float, doubted: bool) -> int:
-    """How many encoders, marked in ``standing`` (n), have not moved though they should have; counted again while that is ``doubted``."""
-    count = 0
+            surprise = True
+    if not known:
+        return surprise, 0
     for i in range(e.n):
         stands = abs(e.arm[i] - e.anchor[i]) <= e.still and e.arm[i] >= e.low[i] and e.arm[i] <= e.high[i]
-        if stands and not doubted:
+        if stands and not (doubted or surprise):
             e.believed[i] += h * deadband(e.acceleration[i] - e.then[i], e.doubt)
             e.gone[i] += h * e.believed[i]
             e.stood[i] += h
@@ -63,4 +60,4 @@ def detect_frozen(e: Encoders, h: float, doubted: bool) -> int:
         e.standing[i] = 1.0 if abs(e.gone[i]) > e.expected and e.stood[i] >= e.min_standstill - 1e-9 else 0.0
         if e.standing[i] > 0.0:
             count += 1
-    return count
+    return surprise, count

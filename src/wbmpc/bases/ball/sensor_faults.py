@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wbmpc.bases.ball.monitor_step import Encoders, detect_frozen, has_jumped
+from wbmpc.bases.ball.monitor_step import Encoders, watch
 from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.checks import not_negative, positive
 from wbmpc.kernel.step import Backend, bind, zeros
@@ -101,8 +101,7 @@ class EncoderMonitor:
             "doubt": doubt,
             "min_standstill": min_standstill,
         }
-        self._has_jumped = bind(has_jumped, a, backend, n=n, **constants)
-        self._detect_frozen = bind(detect_frozen, a, backend, n=n, **constants)
+        self._watch = bind(watch, a, backend, n=n, **constants)
         self._most = min_standstill / IN_A_ROW if min_standstill > 0.0 else np.inf
         self._durations: dict[str, float] = {}
         self._contact = contact
@@ -115,12 +114,13 @@ class EncoderMonitor:
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
         as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n; 1 or 0)
         whose reading ``surprised`` it; the robot's ``state`` (nx), which a contact with itself is asked of."""
-        a = self._arrays
-        a["arm"][:] = arm
-        doubted, standing = self._in_doubt(t, surprised), 0
-        if acceleration is not None:
+        a, known = self._arrays, acceleration is not None
+        a["arm"][:], a["surprised"][:] = arm, 0.0 if surprised is None else surprised
+        if known:
             a["speed"][:], a["acceleration"][:] = speed, acceleration
-            standing = self._detect_frozen(min(interval, self._most), doubted)
+        surprise, standing = self._watch(min(interval, self._most), t < self._doubted_until, known)
+        if surprise:  # speeds, and what the model makes of them, are not to be believed
+            self._doubted_until = t + DOUBTED
         if not (standing or estimator_faults or self._durations):
             return []
         stalled = self._stalled(t, state) if standing else []
@@ -140,14 +140,6 @@ class EncoderMonitor:
         if len(free) < len(standing):
             self._doubted_until = t + DOUBTED
         return free
-
-    def _in_doubt(self, t: float, surprised: Array | None) -> bool:
-        """Whether speeds, and what the model makes of them, are to be believed: not just after a surprise."""
-        if surprised is not None:
-            self._arrays["surprised"][:] = surprised
-            if self._has_jumped():
-                self._doubted_until = t + DOUBTED
-        return t < self._doubted_until
 
     def _lasting(self, h: float, estimator_faults: Sequence[str]) -> list[str]:
         """What the estimator says and, of wheels and ball, has said most of the time."""
