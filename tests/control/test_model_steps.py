@@ -57,7 +57,7 @@ def motion(count: int, seed: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
 def test_what_is_learned_is_that_of_the_parts(mpc: MPC, backend: Backend) -> None:
     observer, payload = parts(mpc, 0.2)
     learned, weighed = parts(mpc, 0.2)
-    steps = ModelSteps(ROBOT, mpc.solver, learned, weighed, None, backend)
+    steps = ModelSteps(ROBOT, mpc.solver, learned, weighed, backend=backend)
     for t, x, u in motion(320, 3):  # more than the observer needs to start
         observer.update(t, x, u, PERIOD)
         payload.observe(x[: ROBOT.base.nq], observer.arrays, observer.learning, PERIOD)
@@ -78,7 +78,7 @@ def test_accelerations_are_those_of_the_model(mpc: MPC, backend: Backend) -> Non
     force = ca.Function("force", [q, given], [base.generalized_force(q, given, ca.SX.zeros(ROBOT.parameters.size))])
     torque = np.array(force(x[:n], u)).ravel() - base.numeric.inverse_dynamics(x[:n], x[n:], np.zeros(n))
     truth = np.linalg.solve(base.numeric.mass_matrix(x[:n]), torque)[5:]
-    found = ModelSteps(ROBOT, mpc.solver, None, None, None, backend).accelerations(x, u, 1e-6)
+    found = ModelSteps(ROBOT, mpc.solver, None, None, backend=backend).accelerations(x, u, 1e-6)
     np.testing.assert_allclose(found, truth, rtol=1e-4, atol=1e-4)
     assert np.abs(truth).max() > 1.0
 

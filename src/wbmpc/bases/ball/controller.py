@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from operator import is_, mul
@@ -85,7 +86,7 @@ class BallController:
             own = SelfContact(robot) if robot.description.collision.self.pairs else None
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
-        self._steps_of: tuple[object, object, object, ModelSteps | None] | None = None  # of which parts
+        self._steps_of: tuple[tuple[object, ...], ModelSteps | None] | None = None  # of which parts
         self._leant: tuple[object, object, Sequence[float]] | None = None  # at which measurement, under which disturbance
         self._steps_alike = type(self)._step is BallController._step
         self._own_parameters = type(self).parameters is BallController.parameters
@@ -101,10 +102,10 @@ class BallController:
         """The model in compiled steps; None where a subclass has one of its own."""
         if not self._steps_alike:
             return None
-        parts, known = (self.observer, self.payload, self.lean_control), self._steps_of
-        if known is None or not all(map(is_, known, parts)):
-            self._steps_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
-        return known[3]
+        parts, known = (self.observer, self.payload, self.lean_control, self.forecast), self._steps_of
+        if known is None or not all(map(is_, known[0], parts)):
+            self._steps_of = known = parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
+        return known[1]
 
     @cached_property
     def _follows(self) -> bool:
@@ -146,8 +147,12 @@ class BallController:
         self._detect_pushes(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            m, more = measurement, (self._carried(), self._pushed(), self._answered())
-            stop_for(self.forecast.update(m.time, m.state, *more))
+            m, component = measurement, self._leans()[6:]
+            if component:
+                stop_for(self.forecast.judge(m.time, math.hypot(*component)))
+            else:
+                more = self._carried(), self._pushed(), self._answered()
+                stop_for(self.forecast.update(m.time, m.state, *more))
 
     def _monitor_encoders(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -200,7 +205,7 @@ class BallController:
         return _STILL
 
     def _leans(self) -> Sequence[float]:
-        """:meth:`LeanControl.leans` (6) [m] under the learned disturbance; none without it."""
+        """:meth:`LeanControl.leans` (6) [m] under the learned disturbance; the lean's component (2) [m], where it is known too."""
         known, measured, control = self._leant, self.measured, self.lean_control
         if control is None or measured is None:
             return (0.0,) * 6
@@ -274,7 +279,7 @@ class BallController:
 
     def _room(self) -> np.ndarray:
         """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
-        learned = np.array(self._leans()[4:])
+        learned = np.array(self._leans()[4:6])
         return learned if self.shoves is None else self.shoves.room + learned
 
     def _late(self) -> int:
@@ -335,7 +340,7 @@ class BallController:
             found = self._control_steps.act(plan, now, measured.state, self._until_acting())
         if found is not None:
             self.feedforward, self.target, self.torque = found
-            return BallCommand(self.torque)
+            return BallCommand.plain(self.torque)
         x = self.ahead()
         self.feedforward, self.target = self._law(now, x, plan, acts=True)
         return self._drive(self.limits.limited(self.target, x))

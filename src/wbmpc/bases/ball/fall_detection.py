@@ -73,8 +73,10 @@ class FallPredictor:
         offset = load_offset(ball_base(robot), x[:n], w)
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
         given = ca.vertcat(x, mass, end_effector)
-        function = CompiledFunction(ca.Function("component", [given], [ca.densify(component)]))
-        self._evaluate, self._one, self._size = function.evaluator(PLANNED), function.evaluator(1), robot.state.size
+        #: the divergent component (2) [m] of a state (nx), a mass [kg] at the tool and a force (2) [N] there
+        self.component = CompiledFunction(ca.Function("component", [given], [ca.densify(component)]))
+        self._evaluate, self._one = self.component.evaluator(PLANNED), self.component.evaluator(1)
+        self._size = robot.state.size
         #: the plan that was checked last
         self.seen: Policy | None = None
 
@@ -102,7 +104,10 @@ class FallPredictor:
     ) -> list[Fall]:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        maximum = self._component_of(x, payload, force, *shift)
+        return self.judge(t, self._component_of(x, payload, force, *shift))
+
+    def judge(self, t: float, maximum: float) -> list[Fall]:
+        """As :meth:`update`, of a divergent component that is ``maximum`` [m] long."""
         if maximum <= self.reach or not math.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:

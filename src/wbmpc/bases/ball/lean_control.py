@@ -47,7 +47,7 @@ class LeanControl:
         self.reach = float(self.balance.reach.min())
         whole = self.balance.shift + self.balance.stand
         #: everything by its name in :class:`wbmpc.bases.ball.lean_step.Lean`
-        self.arrays = {"shift": self.balance.shift.ravel(), "whole": whole.ravel(), "heading": np.zeros(BASE), "leans": np.zeros(6)}
+        self.arrays = {"shift": self.balance.shift.ravel(), "whole": whole.ravel(), "heading": np.zeros(BASE), "leans": np.zeros(8)}
         self.constants = {"spare": max(MAXIMUM - share, 0.0) * self.reach}
         self._force = np.zeros(BASE)
         self._lean_offsets = bind(lean_offsets, self.arrays | {"force": self._force}, backend, **self.constants)
@@ -72,7 +72,7 @@ class LeanControl:
         """
         self._force[:] = force[:BASE]
         self._lean_offsets(yaw)
-        return self.arrays["leans"].tolist()
+        return self.arrays["leans"][:6].tolist()
 
     def check(self, t: float, force: Array, x: Array, leans: Sequence[float] | None = None) -> None:
         """Report once a learned ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no

@@ -19,7 +19,7 @@ class Lean(NamedTuple):
     shift: Floats  # (2, 5), by how much it counts like more than it is, in the heading's axes
     whole: Floats  # (2, 5), what the wheels bear, in the heading's axes
     heading: Floats  # (5), room for a force
-    leans: Floats  # (6): shift (2), along the world's axes; borne (2), along the heading's; center (2), along the world's
+    leans: Floats  # (8): shift (2), along the world's axes; borne (2), along the heading's; center (2), component (2), along the world's
     spare: float  # what the wheels may bear beside the limit of the lean
 
 

@@ -44,6 +44,14 @@ def accelerate(model: Model, nx: int, at: int, m: int, acceleration: Floats, h: 
         acceleration[i] = (model.trial[at + i] - model.state[at + i]) / h
 
 
+class Component(NamedTuple):
+    """The lean's divergent component by a function of state, mass and push."""
+
+    component: int  # its address, 0: there is none
+    given: Floats  # (2 n + 3)
+    found: Floats  # (2)
+
+
 class Parameters(NamedTuple):
     """Where a solver's memory has the ``count`` parameters of its model, and what is learned; −1 for what it has not."""
 
@@ -56,10 +64,10 @@ class Parameters(NamedTuple):
 
 @MODEL.step
 def learn(
-    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, where: Parameters, weighs: bool, leaning: bool,
-    started: bool, t: float, h: float, tells: bool, more_x: float, more_y: float,
+    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, where: Parameters, weighs: bool,
+    leaning: bool, started: bool, t: float, h: float, tells: bool, more_x: float, more_y: float,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one) after a state at t [s], h [s] after the one before
+    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one), with its component, after a state at t [s], h [s] after the one before
     (``started``: there was one); ``tells``: the model is told of them, with ``more`` of a push. Returns how much of a constant
     disturbance that can have learned, and whether all is finite; the model is not told else."""
     n, finite = d.size, True
@@ -84,6 +92,13 @@ def learn(
         update_mass(d, p, learning, h)
     if leaning:
         lean_offsets(lean, d.force, model.state[2])
+        if falls.component != 0:
+            for i in range(2 * n):
+                falls.given[i] = model.state[i]
+            falls.given[2 * n], falls.given[2 * n + 1], falls.given[2 * n + 2] = p.load[Load.MASS], 0.0, 0.0
+            by.places[0], by.places[1] = falls.given.ctypes.data, falls.found.ctypes.data
+            call2(falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
+            lean.leans[6], lean.leans[7] = falls.found[0] + lean.leans[0], falls.found[1] + lean.leans[1]
     for i in range(n):
         finite = finite and np.isfinite(d.force[i])
     x, y, mass = lean.leans[4] + more_x, lean.leans[5] + more_y, p.load[Load.MASS]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
+from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.model_step import Parameters, accelerate, learn
@@ -30,7 +31,7 @@ class ModelSteps:
 
     def __init__(
         self, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None,
-        lean: LeanControl | None = None, backend: Backend = "compiled",
+        lean: LeanControl | None = None, forecast: FallPredictor | None = None, backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         nx, nu = solver.problem.nx, solver.problem.nu
         joints = robot.state["arm_velocity"]
@@ -47,8 +48,9 @@ class ModelSteps:
             weighing |= {"load": np.zeros(1), "rule": np.zeros(1)}
             if payload is not None:
                 weighing |= payload.bound(observer.arrays)
-            leaning = {name: np.zeros(6) for name in ("shift", "whole", "heading", "leans")} if lean is None else lean.arrays
-            self._leans = leaning["leans"]
+            leaning = {name: np.zeros(8) for name in ("shift", "whole", "heading", "leans")} if lean is None else lean.arrays
+            self._leans = leaning["leans"][: 6 if forecast is None else 8]
+            leaning |= {"given": np.zeros(nx + 3), "found": np.zeros(2)}
             inertial = {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)}
             self._inertia = _inertia(robot)
             constants = {
@@ -57,6 +59,7 @@ class ModelSteps:
                 "inertia": self._inertia.address,
                 "weighs": payload is not None,
                 "leaning": lean is not None,
+                "component": 0 if forecast is None else forecast.component.address,
                 **({"spare": 0.0} if lean is None else lean.constants),
                 **_places(solver),
             }
@@ -65,13 +68,13 @@ class ModelSteps:
     @classmethod
     def of(
         cls, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None,
-        lean: LeanControl | None,
+        lean: LeanControl | None, forecast: FallPredictor | None,
     ) -> ModelSteps | None:  # fmt: skip
         """None where the solver is interpreted, has other states and inputs than the robot, or the model cannot be compiled."""
         if not is_compiled_model(robot, solver):
             return None
         try:
-            return cls(robot, solver, observer, payload, lean)
+            return cls(robot, solver, observer, payload, lean, forecast)
         except UnsupportedOperation:
             return None
 
@@ -83,7 +86,8 @@ class ModelSteps:
         return self.acceleration
 
     def learn(self, t: float, x: Array, u: Array, h: float, tells: bool = False, more: ArrayLike = (0.0, 0.0)) -> list[float] | None:
-        """As :meth:`DisturbanceObserver.update`, :meth:`PayloadEstimator.observe` after it, and :meth:`LeanControl.leans`, which it returns;
+        """As :meth:`DisturbanceObserver.update`, :meth:`PayloadEstimator.observe` after it, and :meth:`LeanControl.leans`, which it returns
+        (with a forecast: the divergent component (2) [m] that counts after it);
         None where something is not finite. ``tells``: the solver is told of them then, with ``more`` (2) [m] of a push."""
         observer = self._observer
         assert observer is not None
