@@ -14,10 +14,11 @@ from toys import robot
 from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
-from wbmpc.bases.ball.model_steps import ModelSteps
+from wbmpc.bases.ball.model_steps import Learning, ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
-from wbmpc.bases.ball.sent_torques import DriveSettings
+from wbmpc.bases.ball.sent_torques import DriveSettings, SentTorques
 from wbmpc.bases.ball.settings import mpc_settings
+from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.kernel.step import Backend
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
@@ -39,6 +40,12 @@ def parts(mpc: MPC, mass: float = 0.0) -> tuple[DisturbanceObserver, PayloadEsti
     return observer, PayloadEstimator(numeric.tool_weight, mass=mass)
 
 
+def steps_of(mpc: MPC, learning: Learning, backend: Backend, period: float = PERIOD) -> tuple[ModelSteps, SentTorques]:
+    """Of drives without a lag."""
+    sent = SentTorques(TORQUE, period, DriveSettings())
+    return ModelSteps(ROBOT, mpc.solver, TorqueLimits(ROBOT, TORQUE.size), sent, period, learning, backend), sent
+
+
 def motion(count: int, seed: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Times, states and torques: a lean that swings, an arm that sags at once after half of them, as under a load that comes."""
     rng, found = np.random.default_rng(seed), []
@@ -57,11 +64,12 @@ def motion(count: int, seed: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
 def test_what_is_learned_is_that_of_the_parts(mpc: MPC, backend: Backend) -> None:
     observer, payload = parts(mpc, 0.2)
     learned, weighed = parts(mpc, 0.2)
-    steps = ModelSteps(ROBOT, mpc.solver, learned, weighed, backend=backend)
+    steps, sent = steps_of(mpc, Learning(learned, weighed), backend)
     for t, x, u in motion(320, 3):  # more than the observer needs to start
+        sent.send(u)
         observer.update(t, x, u, PERIOD)
         payload.observe(x[: ROBOT.base.nq], observer.arrays, observer.learning, PERIOD)
-        steps.learn(t, x, u, PERIOD)
+        steps.learn(t, x, sent.at(0), PERIOD)
         np.testing.assert_allclose(learned.force, observer.force, **SAME)
         assert weighed.mass == pytest.approx(payload.mass, rel=1e-9, abs=1e-11)
         assert learned.learning == pytest.approx(observer.learning, rel=1e-9)
@@ -69,7 +77,7 @@ def test_what_is_learned_is_that_of_the_parts(mpc: MPC, backend: Backend) -> Non
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_accelerations_are_those_of_the_model(mpc: MPC, backend: Backend) -> None:
+def test_where_it_gets_is_by_the_equations_of_motion(mpc: MPC, backend: Backend) -> None:
     """Truth: the equations of motion, M v̇ + h = τ, solved by NumPy, over a step so short that they are constant."""
     base, n, (x, u) = ROBOT.base, ROBOT.base.nq, (HOME.copy(), TORQUE.copy())
     u[-1] += 0.5
@@ -78,8 +86,10 @@ def test_accelerations_are_those_of_the_model(mpc: MPC, backend: Backend) -> Non
     force = ca.Function("force", [q, given], [base.generalized_force(q, given, ca.SX.zeros(ROBOT.parameters.size))])
     torque = np.array(force(x[:n], u)).ravel() - base.numeric.inverse_dynamics(x[:n], x[n:], np.zeros(n))
     truth = np.linalg.solve(base.numeric.mass_matrix(x[:n]), torque)[5:]
-    found = ModelSteps(ROBOT, mpc.solver, None, None, backend=backend).accelerations(x, u, 1e-6)
-    np.testing.assert_allclose(found, truth, rtol=1e-4, atol=1e-4)
+    steps, sent = steps_of(mpc, Learning(), backend, 1e-6)
+    sent.send(u)
+    found = (steps.through(x, slice(sent.at(0), sent.at(0) + 1)) - x) / 1e-6  # type: ignore[operator]
+    np.testing.assert_allclose(found[ROBOT.state["arm_velocity"]], truth, rtol=1e-4, atol=1e-4)
     assert np.abs(truth).max() > 1.0
 
 
@@ -94,7 +104,7 @@ def test_a_controller_with_a_model_of_its_own_learns_the_same(mpc: MPC) -> None:
     make: Callable[[type[BallController]], BallController]
     make = lambda kind: kind(ROBOT, mpc, TORQUE, PERIOD, DriveSettings(0.02, 0.01))
     ours, own = make(BallController), make(OwnModel)
-    assert ours._model_steps is not None and own._model_steps is None
+    assert ours._steps is not None and own._steps is None
     for t, x, u in motion(20, 5):
         for controller in (ours, own):
             controller.sent.send(u)

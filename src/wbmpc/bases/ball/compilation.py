@@ -26,6 +26,6 @@ compiled, step = LIBRARY.compiled, LIBRARY.step
 MODEL = Library(
     "ball robot with its model",
     packages=(*_PACKAGES, "solver"),
-    modules=("wbmpc.bases.ball.model_step", "wbmpc.bases.ball.control_step"),
+    modules=("wbmpc.bases.ball.model_step",),
     uses=(LIBRARY, DRIVER, POLICY),
 )

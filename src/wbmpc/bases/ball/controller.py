@@ -5,19 +5,17 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from operator import is_, mul
 
 import numpy as np
 
-from wbmpc.bases.ball.control_steps import ControlSteps
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_steps import ModelSteps, is_compiled_model
+from wbmpc.bases.ball.model_steps import Learning, ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.self_contact import SelfContact
@@ -86,9 +84,10 @@ class BallController:
             own = SelfContact(robot) if robot.description.collision.self.pairs else None
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
-        self._steps_of: tuple[tuple[object, ...], ModelSteps | None] | None = None  # of which parts
+        self._steps_of: tuple[Learning, ModelSteps | None] | None = None  # of which parts
         self._leant: tuple[object, object, Sequence[float]] | None = None  # at which measurement, under which disturbance
         self._steps_alike = type(self)._step is BallController._step
+        self._own_law = type(self)._law is BallController._law
         self._own_parameters = type(self).parameters is BallController.parameters
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
@@ -98,34 +97,22 @@ class BallController:
         return self.mpc.solver.simulate(x, u, h)
 
     @property
-    def _model_steps(self) -> ModelSteps | None:
-        """The model in compiled steps; None where a subclass has one of its own."""
+    def _steps(self) -> ModelSteps | None:
+        """The model in compiled steps; None where a subclass has one of its own, or the solver's is not compiled."""
         if not self._steps_alike:
             return None
-        parts, known = (self.observer, self.payload, self.lean_control, self.forecast), self._steps_of
+        parts, known = Learning(self.observer, self.payload, self.lean_control, self.forecast), self._steps_of
         if known is None or not all(map(is_, known[0], parts)):
-            self._steps_of = known = parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
+            own = (self.mpc.solver, self.limits, self.sent, self.period, parts)
+            self._steps_of = known = parts, ModelSteps.of(self.robot, *own)
         return known[1]
-
-    @cached_property
-    def _follows(self) -> bool:
-        """Whether policies are followed by compiled steps: the law is this class's own."""
-        return type(self)._law is BallController._law and self._control_steps is not None
-
-    @cached_property
-    def _control_steps(self) -> ControlSteps | None:
-        """Policies and the model in compiled steps; None where a subclass has a model of its own, or another one's does not fit."""
-        if not self._steps_alike or not is_compiled_model(self.robot, self.mpc.solver):
-            return None
-        if self.mpc.solver.problem.nu != self.limit.size:
-            return None
-        return ControlSteps(self.mpc.solver, self.limits, self.sent, self.period)
 
     def _through(self, x: np.ndarray, rows: slice) -> np.ndarray:
         """The state x after these rows of the torques that were sent, each for a period."""
         if rows.start == rows.stop:
             return x
-        found = None if self._control_steps is None else self._control_steps.through(x, rows)
+        steps = self._steps
+        found = None if steps is None else steps.through(x, rows)
         if found is not None:
             return found
         torques = self.sent.rows[rows]
@@ -171,12 +158,8 @@ class BallController:
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
-        x, acted, model = self.measured.state, self._acted(), self._model_steps
-        if model is not None:
-            self._accelerates = model.accelerations(x, acted, self.period)
-            return
-        rates = self.robot.state["arm_velocity"]
-        self._accelerates = (self._step(x, acted, self.period)[rates] - x[rates]) / self.period
+        x, rates, acted = self.measured.state, self.robot.state["arm_velocity"], self.sent.at(self._late())
+        self._accelerates = (self._through(x, slice(acted, acted + 1))[rates] - x[rates]) / self.period
 
     @property
     def limit(self) -> np.ndarray:
@@ -233,11 +216,11 @@ class BallController:
     def _learn(self, t: float, x: np.ndarray, h: float, tells: bool = False) -> bool:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the MPC has been told of them, which
         ``tells``."""
-        observer, model, told = self.observer, self._model_steps, False
+        observer, steps, told = self.observer, self._steps, False
         assert observer is not None
-        if model is not None:
+        if steps is not None:
             more = _STILL if self.shoves is None else self.shoves.room
-            leans = model.learn(t, x, self._acted(), h, tells, more)
+            leans = steps.learn(t, x, self.sent.at(self._late()), h, tells, more)
             self.disturbance, told = observer.force, tells and leans is not None
             if leans is not None:
                 self._leant = self.measured, self.disturbance, leans
@@ -305,21 +288,18 @@ class BallController:
         """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
         if self._steps_alike:
             assert self.measured is not None
-            return self._through(self.measured.state, self._until_acting())
+            return self._through(self.measured.state, self.sent.since(self._late() + self.sent.dead, 0))
         return self._through(self.state(), self.sent.since(self.sent.dead, 0))  # what a subclass adds to the state now goes along
-
-    def _until_acting(self) -> slice:
-        """Rows of the torques that act from the measurement to when the next command does."""
-        return self.sent.since(self._late() + self.sent.dead, 0)
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until`` under the policies that will be active, through the drives' lag."""
         x, torque, dead = self.ahead(), self.sent.last, self.sent.dead * self.period
+        steps = self._steps if self._own_law else None
         for k in range(round((until - t) / self.period)):
             policy, now = plans.at(t + k * self.period), t + dead + k * self.period
             if policy is None:
                 break
-            found = self._control_steps.foresee(policy, now, x, torque) if self._follows else None
+            found = None if steps is None else steps.foresee(policy, now, x, torque)
             if found is None:
                 torque = self.sent.follow(self.limits.limited(self._law(now, x, policy)[1], x), torque)
                 found = self._step(x, torque, self.period), torque
@@ -336,8 +316,9 @@ class BallController:
         if forecast is not None and plan is not None and plan is not forecast.seen:
             stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
         now, measured, found = t + self.sent.dead * self.period, self.measured, None
-        if self._follows and plan is not None and measured is not None:
-            found = self._control_steps.act(plan, now, measured.state, self._until_acting())
+        steps = self._steps if self._own_law else None
+        if steps is not None and plan is not None and measured is not None:
+            found = steps.act(plan, now, measured.state, self._late())
         if found is not None:
             self.feedforward, self.target, self.torque = found
             return BallCommand.plain(self.torque)

@@ -75,8 +75,7 @@ class FallPredictor:
         given = ca.vertcat(x, mass, end_effector)
         #: the divergent component (2) [m] of a state (nx), a mass [kg] at the tool and a force (2) [N] there
         self.component = CompiledFunction(ca.Function("component", [given], [ca.densify(component)]))
-        self._evaluate, self._one = self.component.evaluator(PLANNED), self.component.evaluator(1)
-        self._size = robot.state.size
+        self._evaluate, self._size = self.component.evaluator(PLANNED), robot.state.size
         #: the plan that was checked last
         self.seen: Policy | None = None
 
@@ -104,7 +103,7 @@ class FallPredictor:
     ) -> list[Fall]:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        return self.judge(t, self._component_of(x, payload, force, *shift))
+        return self.judge(t, self._maximum(x[None], payload, np.array([force]), shift))
 
     def judge(self, t: float, maximum: float) -> list[Fall]:
         """As :meth:`update`, of a divergent component that is ``maximum`` [m] long."""
@@ -124,13 +123,6 @@ class FallPredictor:
             given[:, :n], given[:, n], given[:, n + 1 :] = states[some, :n], payload, force[some]
             most = max(most, *(math.hypot(u + x, v + y) for u, v in self._evaluate(count).tolist()))
         return most
-
-    def _component_of(self, state: np.ndarray, payload: float, force: ArrayLike, x: float, y: float) -> float:
-        """The divergent component [m] of a state (nx)."""
-        given, n = self._one.arguments[0], self._size
-        given[:n], given[n], given[n + 1 :] = state[:n], payload, force
-        ((u, v),) = self._one(1).tolist()
-        return math.hypot(u + x, v + y)
 
     def _fall(self, t: float, who: str, maximum: float) -> Fall:
         lean = f"{who} by {1e3 * maximum:.0f} mm at the center of mass"

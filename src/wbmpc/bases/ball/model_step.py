@@ -1,4 +1,4 @@
-"""What a ball robot's controller makes of a new state by its model, compiled: see :class:`wbmpc.bases.ball.model_steps.ModelSteps`."""
+"""What a ball robot's controller makes of a new state and of a policy, by its model, compiled: see :class:`wbmpc.bases.ball.model_steps.ModelSteps`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from wbmpc.bases.ball.compilation import MODEL
 from wbmpc.bases.ball.disturbance_step import Clock, Disturbance, Gate, Setting, observe
 from wbmpc.bases.ball.lean_step import Lean, lean_offsets
 from wbmpc.bases.ball.payload_step import Load, Payload, update_mass
+from wbmpc.bases.ball.torque_step import Torques, limit_torques
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
+from wbmpc.solver.feedback import Plan, interval, law
 from wbmpc.solver.receding import simulate
 
 call2 = PointerCall(2)
@@ -34,16 +36,6 @@ class Inertia(NamedTuple):
     inertial: Floats  # (n n + n), its results: the mass matrix, and the weight of 1 kg at the tool
 
 
-@MODEL.step
-def accelerate(model: Model, nx: int, at: int, m: int, acceleration: Floats, h: float) -> None:
-    """Mean ``acceleration`` (m) over h [s] of the state's speeds from ``at`` on."""
-    for i in range(nx):
-        model.trial[i] = model.state[i]
-    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
-    for i in range(m):
-        acceleration[i] = (model.trial[at + i] - model.state[at + i]) / h
-
-
 class Component(NamedTuple):
     """The lean's divergent component by a function of state, mass and push."""
 
@@ -65,12 +57,14 @@ class Parameters(NamedTuple):
 @MODEL.step
 def learn(
     model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, where: Parameters, weighs: bool,
-    leaning: bool, started: bool, t: float, h: float, tells: bool, more_x: float, more_y: float,
+    leaning: bool, nu: int, rows: Floats, row: int, started: bool, t: float, h: float, tells: bool, more_x: float, more_y: float,
 ) -> tuple[float, bool]:  # fmt: skip
     """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one), with its component, after a state at t [s], h [s] after the one before
-    (``started``: there was one); ``tells``: the model is told of them, with ``more`` of a push. Returns how much of a constant
+    (``started``: there was one), under the torques (nu) in a ``row``; ``tells``: the model is told of them, with ``more`` of a push. Returns how much of a constant
     disturbance that can have learned, and whether all is finite; the model is not told else."""
     n, finite = d.size, True
+    for i in range(nu):
+        model.acted[i] = rows[row * nu + i]
     if not started:
         g.clock[Clock.NEW_UNTIL] = t + g.settings[Setting.LONGEST]
     for i in range(n):
@@ -113,3 +107,62 @@ def learn(
         if where.payload >= 0:
             model.memory[where.payload] = mass
     return learning, finite
+
+
+@MODEL.step
+def through(model: Model, nx: int, nu: int, rows: Floats, first: int, count: int, h: float) -> bool:
+    """The state after ``count`` of the ``rows`` (nu) of torques from the ``first`` on, each for h [s], in ``trial``; whether all that it
+    follows from is finite."""
+    finite = True
+    for i in range(nx):
+        model.trial[i] = model.state[i]
+        finite = finite and np.isfinite(model.state[i])
+    for k in range(first, first + count):
+        for i in range(nu):
+            model.acted[i] = rows[k * nu + i]
+            finite = finite and np.isfinite(model.acted[i])
+        simulate(model.memory, model.table, model.trial, model.acted, 1, h)
+    return finite
+
+
+@MODEL.compiled
+def follow(
+    plan: Plan, drives: Torques, x: Floats, feedforward: Floats, rows: Floats, row: int, blend: float, t: float
+) -> bool:  # fmt: skip
+    """Torques of the ``plan`` at time t [s] in the state x, within limits, and what drives with a lag make of them, in a ``row`` after the
+    one before; ``blend``: how much of the way they go. False where they are not finite; nothing is changed but room then."""
+    size, k = drives.size, interval(plan.times, plan.n, t)
+    if not (np.isfinite(t) and law(plan, t, x, drives.torque)):
+        return False
+    drives.lean[0], drives.lean[1] = x[3], x[4]
+    limit_torques(drives)
+    for i in range(size):
+        feedforward[i] = plan.inputs[k * plan.nu + i]
+        last = rows[(row - 1) * size + i]
+        rows[row * size + i] = last + blend * (drives.out[i] - last)
+    return True
+
+
+@MODEL.step
+def act(
+    plan: Plan, drives: Torques, model: Model, feedforward: Floats, rows: Floats, blend: float, first: int, count: int, row: int,
+    t: float, h: float,
+) -> bool:  # fmt: skip
+    """:func:`follow` in the state that :func:`through` finds."""
+    if not through(model, plan.nx, plan.nu, rows, first, count, h):
+        return False
+    return follow(plan, drives, model.trial, feedforward, rows, row, blend, t)
+
+
+@MODEL.step
+def foresee(
+    plan: Plan, drives: Torques, model: Model, feedforward: Floats, rows: Floats, blend: float, t: float, h: float
+) -> bool:  # fmt: skip
+    """:func:`follow` in the first two ``rows``, and what the model makes of the state ``trial`` in h [s]."""
+    if not follow(plan, drives, model.trial, feedforward, rows, 1, blend, t):
+        return False
+    for i in range(drives.size):
+        rows[i] = rows[drives.size + i]
+        model.acted[i] = rows[i]
+    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
+    return True

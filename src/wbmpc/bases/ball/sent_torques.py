@@ -81,9 +81,13 @@ class SentTorques:
         """``age`` [s] in ticks; what is older than all torques that are known counts as from the first."""
         return min(round(age / self._period), self._known - 1 - self.dead)
 
+    def at(self, ticks: int) -> int:
+        """The row of what acted so many ticks ago."""
+        return self._end - 1 - ticks - self.dead
+
     def acted(self, ticks: int) -> Array:
         """What acted so many ticks ago."""
-        return self.rows[self._end - 1 - ticks - self.dead].copy()
+        return self.rows[self.at(ticks)].copy()
 
     def since(self, ticks: int, dead: int | None = None) -> slice:
         """Rows of what has acted (``ticks``, n + m) in the ticks since then; with 0 for ``dead``, what will have acted a dead time from now."""
