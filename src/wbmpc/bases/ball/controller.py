@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
-from operator import is_, mul
+from operator import mul
 
 import numpy as np
 
@@ -33,8 +33,6 @@ from wbmpc.types import Observation
 _LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the target by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
-#: No push.
-_STILL = (0.0, 0.0)
 #: Innovations of the base's speeds beyond which a force is a push, and no disturbance to learn: of the ball along x and y [m/s], of yaw, pitch
 #: and roll [rad/s].
 GATE = (0.06, 0.06, 0.25, 0.12, 0.12)
@@ -84,11 +82,10 @@ class BallController:
             own = SelfContact(robot) if robot.description.collision.self.pairs else None
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
-        self._steps_of: tuple[Learning, ModelSteps | None] | None = None  # of which parts
+        self._steps_of: tuple[object, object, object, object, ModelSteps | None] | None = None  # of which parts
         self._leant: tuple[object, object, Sequence[float]] | None = None  # at which measurement, under which disturbance
         self._steps_alike = type(self)._step is BallController._step
         self._own_law = type(self)._law is BallController._law
-        self._own_parameters = type(self).parameters is BallController.parameters
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
         self.torque = torque.copy()  # what the drives were last asked for
@@ -101,11 +98,12 @@ class BallController:
         """The model in compiled steps; None where a subclass has one of its own, or the solver's is not compiled."""
         if not self._steps_alike:
             return None
-        parts, known = Learning(self.observer, self.payload, self.lean_control, self.forecast), self._steps_of
-        if known is None or not all(map(is_, known[0], parts)):
-            own = (self.mpc.solver, self.limits, self.sent, self.period, parts)
-            self._steps_of = known = parts, ModelSteps.of(self.robot, *own)
-        return known[1]
+        a, b, c, d = self.observer, self.payload, self.lean_control, self.forecast
+        known = self._steps_of
+        if known is None or known[0] is not a or known[1] is not b or known[2] is not c or known[3] is not d:
+            own = (self.mpc.solver, self.limits, self.sent, self.period, Learning(a, b, c, d))
+            self._steps_of = known = a, b, c, d, ModelSteps.of(self.robot, *own)
+        return known[4]
 
     def _through(self, x: np.ndarray, rows: slice) -> np.ndarray:
         """The state x after these rows of the torques that were sent, each for a period."""
@@ -134,7 +132,7 @@ class BallController:
         self._detect_pushes(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            m, component = measurement, self._leans()[6:]
+            m, component = measurement, self._leans()[4:]
             if component:
                 stop_for(self.forecast.judge(m.time, math.hypot(*component)))
             else:
@@ -185,13 +183,13 @@ class BallController:
 
     def _pushed(self) -> Sequence[float] | np.ndarray:
         """The estimated horizontal force (2) [N] at the end effector."""
-        return _STILL
+        return (0.0, 0.0)
 
     def _leans(self) -> Sequence[float]:
-        """:meth:`LeanControl.leans` (6) [m] under the learned disturbance; the lean's component (2) [m], where it is known too."""
+        """:meth:`LeanControl.leans` (4) [m] under the learned disturbance; the lean's component (2) [m], where it is known too."""
         known, measured, control = self._leant, self.measured, self.lean_control
         if control is None or measured is None:
-            return (0.0,) * 6
+            return (0.0,) * 4
         if known is None or known[0] is not measured or known[1] is not self.disturbance:
             leans = control.leans(self.disturbance, float(measured.state[2]))
             self._leant = known = measured, self.disturbance, leans
@@ -209,34 +207,29 @@ class BallController:
     def _observe(self, measurement: BallMeasurement) -> None:
         if self.observer is None and self.shoves is None:
             return
-        m, tells = measurement, self._own_parameters
-        if self.observer is None or not self._learn(m.time, m.state, self.period, tells):
-            self.mpc.solver.set_parameters(self.parameters())
+        if self.observer is not None:
+            self._learn(measurement.time, measurement.state, self.period)
+        values, steps = self.parameters(), self._steps
+        self.mpc.solver.set_parameters(values if steps is None else steps.vector(values))
 
-    def _learn(self, t: float, x: np.ndarray, h: float, tells: bool = False) -> bool:
-        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the MPC has been told of them, which
-        ``tells``."""
-        observer, steps, told = self.observer, self._steps, False
+    def _learn(self, t: float, x: np.ndarray, h: float) -> None:
+        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
+        observer, steps = self.observer, self._steps
         assert observer is not None
         if steps is not None:
-            more = _STILL if self.shoves is None else self.shoves.room
-            leans = steps.learn(t, x, self.sent.at(self._late()), h, tells, more)
-            self.disturbance, told = observer.force, tells and leans is not None
-            if leans is not None:
-                self._leant = self.measured, self.disturbance, leans
+            leans = steps.learn(t, x, self.sent.at(self._late()), h)
         else:
             observer.update(t, x, self._acted(), h)
             if self.payload is not None:
                 self.payload.observe(x[: observer.size], observer.arrays, observer.learning, h)
-            self.disturbance = observer.force
-        if not told:
-            self._finite(self.disturbance)
+        self.disturbance = self._finite(observer.force)
+        if steps is not None:
+            self._leant = self.measured, self.disturbance, leans
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x, self._leans())
-        return told
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
-        if not np.isfinite(disturbance).all():
+        if not all(map(math.isfinite, disturbance.tolist())):
             raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
 
@@ -262,8 +255,11 @@ class BallController:
 
     def _room(self) -> np.ndarray:
         """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
-        learned = np.array(self._leans()[4:6])
-        return learned if self.shoves is None else self.shoves.room + learned
+        pushed = None if self.shoves is None else self.shoves.room
+        if self.lean_control is None or self.measured is None:
+            return np.zeros(2) if pushed is None else pushed
+        learned = self.lean_control.center(self._leans(), float(self.measured.state[2]))
+        return learned if pushed is None else pushed + learned
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""

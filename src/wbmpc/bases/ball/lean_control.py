@@ -15,6 +15,7 @@ from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import DisturbanceTooLarge
 from wbmpc.kernel.step import Backend, bind
+from wbmpc.lie import cos_sin
 from wbmpc.model.robot import RobotModel
 
 Array = NDArray[np.float64]
@@ -47,10 +48,9 @@ class LeanControl:
         self.reach = float(self.balance.reach.min())
         whole = self.balance.shift + self.balance.stand
         #: everything by its name in :class:`wbmpc.bases.ball.lean_step.Lean`
-        self.arrays = {"shift": self.balance.shift.ravel(), "whole": whole.ravel(), "heading": np.zeros(BASE), "leans": np.zeros(8)}
-        self.constants = {"spare": max(MAXIMUM - share, 0.0) * self.reach}
-        self._force = np.zeros(BASE)
-        self._lean_offsets = bind(lean_offsets, self.arrays | {"force": self._force}, backend, **self.constants)
+        self.arrays = {"shift": self.balance.shift.ravel(), "whole": whole.ravel(), "heading": np.zeros(BASE), "leans": np.zeros(6)}
+        self._room, self._force = max(MAXIMUM - share, 0.0) * self.reach, np.zeros(BASE)
+        self._lean_offsets = bind(lean_offsets, self.arrays | {"force": self._force}, backend)
         self._ball_speed = slice(ball_base(robot).nq, ball_base(robot).nq + 2)
         self.reset()
 
@@ -65,14 +65,21 @@ class LeanControl:
 
     def leans(self, force: Array, yaw: float) -> list[float]:
         """Under the learned generalized ``force`` (nq) [N, N m] at a heading [rad], [m]: shift (2), by how much the divergent component
-        counts like more than it is, along the world's x and y; what the wheels bear (2), along the heading's; center (2), the shift for
-        the limit of the lean: about the lean with which the robot stands still, as far as the reach allows.
+        counts like more than it is, along the world's x and y; what the wheels bear (2), along the heading's."""
+        self._force[:] = force[:BASE]
+        self._lean_offsets(yaw)
+        return self.arrays["leans"][:4].tolist()
+
+    def center(self, leans: Sequence[float], yaw: float) -> Array:
+        """The shift (2) for the limit of the lean, of ``leans``: about the lean with which the robot stands still, as far as the reach allows.
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
         """
-        self._force[:] = force[:BASE]
-        self._lean_offsets(yaw)
-        return self.arrays["leans"][:6].tolist()
+        x, y, *borne = leans[:4]
+        share = min(1.0, self._room / max(math.hypot(*borne), 1e-12))
+        c, s = cos_sin(yaw)
+        bx, by = share * borne[0], share * borne[1]
+        return np.array([x - (c * bx - s * by), y - (s * bx + c * by)])
 
     def check(self, t: float, force: Array, x: Array, leans: Sequence[float] | None = None) -> None:
         """Report once a learned ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no

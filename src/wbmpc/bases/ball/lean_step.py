@@ -19,8 +19,7 @@ class Lean(NamedTuple):
     shift: Floats  # (2, 5), by how much it counts like more than it is, in the heading's axes
     whole: Floats  # (2, 5), what the wheels bear, in the heading's axes
     heading: Floats  # (5), room for a force
-    leans: Floats  # (8): shift (2), along the world's axes; borne (2), along the heading's; center (2), component (2), along the world's
-    spare: float  # what the wheels may bear beside the limit of the lean
+    leans: Floats  # (6): shift (2), along the world's axes; borne (2), along the heading's; component (2), along the world's
 
 
 @step
@@ -38,6 +37,3 @@ def lean_offsets(lean: Lean, force: Floats, yaw: float) -> None:
             leans[2 + k] += lean.whole[k * BASE + i] * heading[i]
     x, y = leans[0], leans[1]
     leans[0], leans[1] = c * x - s * y, s * x + c * y
-    share = min(1.0, lean.spare / max(np.sqrt(leans[2] ** 2 + leans[3] ** 2), 1e-12))
-    x, y = share * leans[2], share * leans[3]
-    leans[4], leans[5] = leans[0] - (c * x - s * y), leans[1] - (s * x + c * y)

@@ -10,7 +10,7 @@ from wbmpc.bases.ball.compilation import MODEL
 from wbmpc.bases.ball.disturbance_step import Clock, Disturbance, Gate, Setting, observe
 from wbmpc.bases.ball.lean_step import Lean, lean_offsets
 from wbmpc.bases.ball.payload_step import Load, Payload, update_mass
-from wbmpc.bases.ball.torque_step import Torques, limit_torques
+from wbmpc.bases.ball.torque_step import Torques, approach, limit_torques
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
 from wbmpc.solver.feedback import Plan, interval, law
 from wbmpc.solver.receding import simulate
@@ -44,25 +44,15 @@ class Component(NamedTuple):
     found: Floats  # (2)
 
 
-class Parameters(NamedTuple):
-    """Where a solver's memory has the ``count`` parameters of its model, and what is learned; −1 for what it has not."""
-
-    first: int
-    count: int
-    disturbance: int
-    push: int
-    payload: int
-
-
 @MODEL.step
 def learn(
-    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, where: Parameters, weighs: bool,
-    leaning: bool, nu: int, rows: Floats, row: int, started: bool, t: float, h: float, tells: bool, more_x: float, more_y: float,
-) -> tuple[float, bool]:  # fmt: skip
-    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one), with its component, after a state at t [s], h [s] after the one before
-    (``started``: there was one), under the torques (nu) in a ``row``; ``tells``: the model is told of them, with ``more`` of a push. Returns how much of a constant
-    disturbance that can have learned, and whether all is finite; the model is not told else."""
-    n, finite = d.size, True
+    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, weighs: bool, leaning: bool,
+    nu: int, rows: Floats, row: int, started: bool, t: float, h: float,
+) -> float:  # fmt: skip
+    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one), with its component, after a state at t [s], h
+    [s] after the one before (``started``: there was one), under the torques (nu) in a ``row``; returns how much of a constant
+    disturbance that can have learned."""
+    n = d.size
     for i in range(nu):
         model.acted[i] = rows[row * nu + i]
     if not started:
@@ -92,21 +82,8 @@ def learn(
             falls.given[2 * n], falls.given[2 * n + 1], falls.given[2 * n + 2] = p.load[Load.MASS], 0.0, 0.0
             by.places[0], by.places[1] = falls.given.ctypes.data, falls.found.ctypes.data
             call2(falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
-            lean.leans[6], lean.leans[7] = falls.found[0] + lean.leans[0], falls.found[1] + lean.leans[1]
-    for i in range(n):
-        finite = finite and np.isfinite(d.force[i])
-    x, y, mass = lean.leans[4] + more_x, lean.leans[5] + more_y, p.load[Load.MASS]
-    finite = finite and np.isfinite(x) and np.isfinite(y) and np.isfinite(mass)
-    if finite and tells:
-        for i in range(where.first, where.first + where.count):
-            model.memory[i] = 0.0
-        for i in range(n):
-            model.memory[where.disturbance + i] = d.force[i]
-        if where.push >= 0:
-            model.memory[where.push], model.memory[where.push + 1] = x, y
-        if where.payload >= 0:
-            model.memory[where.payload] = mass
-    return learning, finite
+            lean.leans[4], lean.leans[5] = falls.found[0] + lean.leans[0], falls.found[1] + lean.leans[1]
+    return learning
 
 
 @MODEL.step
@@ -136,10 +113,10 @@ def follow(
         return False
     drives.lean[0], drives.lean[1] = x[3], x[4]
     limit_torques(drives)
+    approach(drives, rows, row - 1, blend)
     for i in range(size):
         feedforward[i] = plan.inputs[k * plan.nu + i]
-        last = rows[(row - 1) * size + i]
-        rows[row * size + i] = last + blend * (drives.out[i] - last)
+        rows[row * size + i] = rows[(row - 1) * size + i] + drives.way[i]
     return True
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_step import Parameters, act, foresee, learn, through
+from wbmpc.bases.ball.model_step import act, foresee, learn, through
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.sent_torques import SentTorques
 from wbmpc.bases.ball.torque_limits import TorqueLimits
@@ -52,6 +53,8 @@ class ModelSteps:
         n, nx, nu = solver.ocp.intervals, solver.problem.nx, solver.problem.nu
         self._plan = np.zeros(n + 1), np.zeros((n + 1, nx)), np.zeros((n, nu)), np.zeros((n, nu, nx))
         self._policy: Policy | None = None  # whose plan that is
+        self._groups = solver.ocp.dynamics.parameters
+        self._parameters = np.zeros(self._groups.size)
         a = dict(zip(("times", "states", "inputs", "gains"), (each.reshape(-1) for each in self._plan), strict=True))
         a |= {name: np.zeros(size) for name, size in {"state": nx, "acted": nu, "trial": nx, "feedforward": nu}.items()}
         a |= solver.integrator | limits.arrays | {name: np.zeros(1) for name in ("limits", "active", "moving")}
@@ -70,17 +73,16 @@ class ModelSteps:
     ) -> Step:  # fmt: skip
         n = observer.size
         a = dict.fromkeys(("weight", "model", "believed", "apart", "load", "rule", "shift", "whole", "heading", "leans"))
-        a = {name: np.zeros(max(n, 8)) for name in a} | {"given": np.zeros(2 * n + 3), "found": np.zeros(2)}
+        a = {name: np.zeros(max(n, 6)) for name in a} | {"given": np.zeros(2 * n + 3), "found": np.zeros(2)}
         a |= {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)} | observer.arrays
         if payload is not None:
             a |= payload.bound(observer.arrays)
         if lean is not None:
             a |= lean.arrays
-        self._leans = a["leans"][: 6 if forecast is None else 8]
+        self._leans = a["leans"][: 4 if forecast is None else 6]
         self._inertia = _inertia(robot)
         constants = {"nu": self._next.size // 2, "size": n, "gates": observer.gate.size, "inertia": self._inertia.address}
-        constants |= {"weighs": payload is not None, "leaning": lean is not None, **_places(self._solver)}
-        constants |= {"spare": 0.0} if lean is None else lean.constants
+        constants |= {"weighs": payload is not None, "leaning": lean is not None}
         constants["component"] = 0 if forecast is None else forecast.component.address
         return bind(learn, self._arrays | a, backend, **constants)
 
@@ -99,17 +101,23 @@ class ModelSteps:
         except UnsupportedOperation:
             return None
 
-    def learn(self, t: float, x: Array, row: int, h: float, tells: bool = False, more: ArrayLike = (0.0, 0.0)) -> list[float] | None:
+    def learn(self, t: float, x: Array, row: int, h: float) -> list[float]:
         """As :meth:`DisturbanceObserver.update` under the torques in a ``row`` of those that were sent, :meth:`PayloadEstimator.observe`
-        after it, and :meth:`LeanControl.leans`, which it returns (with a forecast: the divergent component (2) [m] that counts after
-        it); None where something is not finite. ``tells``: the solver is told of them then, with ``more`` (2) [m] of a push."""
+        after it, and :meth:`LeanControl.leans`, which it returns; with a forecast, the divergent component (2) [m] that counts after it."""
         observer = self._observer
         assert observer is not None
         self._arrays["state"][:] = x
         with self._solver.exclusive:
-            observer.learning, finite = self._learn(row, observer.started, t, h, tells, *more)
+            observer.learning = self._learn(row, observer.started, t, h)
         observer.started = True
-        return self._leans.tolist() if finite else None
+        return self._leans.tolist()
+
+    def vector(self, values: Mapping[str, Array]) -> Array:
+        """The model's parameters by group as a vector, which the next call changes; others are zero."""
+        self._parameters[:] = 0.0
+        for group, value in values.items():
+            self._parameters[self._groups[group]] = value
+        return self._parameters
 
     def _take(self, policy: Policy) -> bool:
         """Whether the plan of a ``policy`` is one that fits: it is here then."""
@@ -157,14 +165,6 @@ class ModelSteps:
         with self._solver.exclusive:
             known = self._foresee(len(policy.u), t, self._period)
         return (trial.copy(), self._next[:nu].copy()) if known else None
-
-
-def _places(solver: Solver) -> dict[str, int]:
-    """:class:`Parameters` of a ``solver``."""
-    groups, part = solver.ocp.dynamics.parameters, solver.problem.constant.slices["parameters"]
-    start = (solver.constants.ctypes.data - solver.integrator["memory"].ctypes.data) // 8 + part.start
-    learned = {name: start + groups[name].start if name in groups else -1 for name in Parameters._fields[2:]}
-    return {"first": start, "count": groups.size, **learned}
 
 
 def _inertia(robot: RobotModel) -> CompiledFunction:

@@ -25,7 +25,7 @@ class TorqueLimits:
         self.spin: Array = effect[2]
         n = self.spin.size
         arrays = {"torque": np.zeros(size), "out": np.zeros(size), "at": np.zeros(n + 1), "room": np.zeros(n + 1)}
-        arrays |= {"lean": np.zeros(2), "turn": np.zeros(n), "limit": self.limit.copy()}
+        arrays |= {"way": np.zeros(size), "lean": np.zeros(2), "turn": np.zeros(n), "limit": self.limit.copy()}
         #: everything by its name in :class:`wbmpc.bases.ball.torque_step.Torques`
         self.arrays = arrays | {"effect": effect.ravel(), "causes": np.linalg.pinv(effect).ravel()}
         self.constants = {"wheels": n, "size": size, "largest": robot.description.limits.spin_effort}

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wbmpc.bases.ball.compilation import step
+from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
 
 #: A wheel that hardly changes the spin counts as if it did by this share of it.
@@ -28,6 +28,7 @@ class Torques(NamedTuple):
     at: Floats  # (wheels + 1)
     room: Floats  # (wheels + 1)
     largest: float  # spin, about the vertical
+    way: Floats  # (size), how far drives go
 
 
 @step
@@ -60,3 +61,11 @@ def limit_torques(drives: Torques) -> None:
         out[i] = min(max(scale * out[i] + spin * turn[i], -limit[i]), limit[i])
     for i in range(n, drives.size):
         out[i] = min(max(torque[i], -limit[i]), limit[i])
+
+
+@compiled
+def approach(drives: Torques, rows: Floats, row: int, blend: float) -> None:
+    """The ``way`` of drives from what they give in a ``row``, so much of it to what is within limits. (Who adds it rounds as
+    :meth:`wbmpc.bases.ball.sent_torques.SentTorques.follow` does.)"""
+    for i in range(drives.size):
+        drives.way[i] = blend * (drives.out[i] - rows[row * drives.size + i])
