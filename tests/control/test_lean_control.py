@@ -25,7 +25,7 @@ def shift(force: np.ndarray) -> np.ndarray:
 
 
 def center(force: np.ndarray, yaw: float = 0.0) -> np.ndarray:
-    return LEAN.center(LEAN.leans(force, yaw), yaw)
+    return np.array(LEAN.center(LEAN.leans(force, yaw), yaw))
 
 
 def pushed(size: float, heading: float = 0.0) -> np.ndarray:

@@ -85,6 +85,7 @@ class BallController:
         self._steps_of: tuple[object, object, object, object, ModelSteps | None] | None = None  # of which parts
         self._leant: tuple[object, object, Sequence[float]] | None = None  # at which measurement, under which disturbance
         self._steps_alike = type(self)._step is BallController._step
+        self._own_parameters = type(self).parameters is BallController.parameters
         self._own_law = type(self)._law is BallController._law
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
@@ -209,8 +210,9 @@ class BallController:
             return
         if self.observer is not None:
             self._learn(measurement.time, measurement.state, self.period)
-        values, steps = self.parameters(), self._steps
-        self.mpc.solver.set_parameters(values if steps is None else steps.vector(values))
+        steps = self._steps if self._own_parameters else None
+        if steps is None or not steps.tell(self._room()):
+            self.mpc.solver.set_parameters(self.parameters())
 
     def _learn(self, t: float, x: np.ndarray, h: float) -> None:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
@@ -250,16 +252,16 @@ class BallController:
         """The model's parameters by group, as they are believed now."""
         own = {"disturbance": self.disturbance}
         if self.shoves is not None or self.lean_control is not None:
-            own["push"] = self._room()
+            own["push"] = np.array(self._room())
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
-    def _room(self) -> np.ndarray:
+    def _room(self) -> Sequence[float]:
         """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
-        pushed = None if self.shoves is None else self.shoves.room
+        pushed = (0.0, 0.0) if self.shoves is None else self.shoves.room
         if self.lean_control is None or self.measured is None:
-            return np.zeros(2) if pushed is None else pushed
-        learned = self.lean_control.center(self._leans(), float(self.measured.state[2]))
-        return learned if pushed is None else pushed + learned
+            return pushed
+        x, y = self.lean_control.center(self._leans(), float(self.measured.state[2]))
+        return pushed[0] + x, pushed[1] + y
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""

@@ -70,7 +70,7 @@ class LeanControl:
         self._lean_offsets(yaw)
         return self.arrays["leans"][:4].tolist()
 
-    def center(self, leans: Sequence[float], yaw: float) -> Array:
+    def center(self, leans: Sequence[float], yaw: float) -> tuple[float, float]:
         """The shift (2) for the limit of the lean, of ``leans``: about the lean with which the robot stands still, as far as the reach allows.
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
@@ -79,7 +79,7 @@ class LeanControl:
         share = min(1.0, self._room / max(math.hypot(*borne), 1e-12))
         c, s = cos_sin(yaw)
         bx, by = share * borne[0], share * borne[1]
-        return np.array([x - (c * bx - s * by), y - (s * bx + c * by)])
+        return x - (c * bx - s * by), y - (s * bx + c * by)
 
     def check(self, t: float, force: Array, x: Array, leans: Sequence[float] | None = None) -> None:
         """Report once a learned ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no

@@ -86,6 +86,36 @@ def learn(
     return learning
 
 
+class Parameters(NamedTuple):
+    """Where a solver's memory has the ``count`` parameters of its model, and which of them are learned; −1 for what it has not."""
+
+    memory: Floats
+    first: int
+    count: int
+    disturbance: int
+    push: int
+    payload: int
+
+
+@MODEL.step
+def tell(at: Parameters, size: int, force: Floats, load: Floats, x: float, y: float) -> bool:
+    """The parameters by what was learned, ``push`` (x, y) [m], all others zero; unless something is not finite, of which is told then."""
+    finite = np.isfinite(x) and np.isfinite(y) and np.isfinite(load[Load.MASS])
+    for i in range(size):
+        finite = finite and np.isfinite(force[i])
+    if not finite:
+        return False
+    for i in range(at.count):
+        at.memory[at.first + i] = 0.0
+    for i in range(size):
+        at.memory[at.disturbance + i] = force[i]
+    if at.push >= 0:
+        at.memory[at.push], at.memory[at.push + 1] = x, y
+    if at.payload >= 0:
+        at.memory[at.payload] = load[Load.MASS]
+    return True
+
+
 @MODEL.step
 def through(model: Model, nx: int, nu: int, rows: Floats, first: int, count: int, h: float) -> bool:
     """The state after ``count`` of the ``rows`` (nu) of torques from the ``first`` on, each for h [s], in ``trial``; whether all that it

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -13,7 +13,7 @@ from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_step import act, foresee, learn, through
+from wbmpc.bases.ball.model_step import act, foresee, learn, tell, through
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.sent_torques import SentTorques
 from wbmpc.bases.ball.torque_limits import TorqueLimits
@@ -53,8 +53,7 @@ class ModelSteps:
         n, nx, nu = solver.ocp.intervals, solver.problem.nx, solver.problem.nu
         self._plan = np.zeros(n + 1), np.zeros((n + 1, nx)), np.zeros((n, nu)), np.zeros((n, nu, nx))
         self._policy: Policy | None = None  # whose plan that is
-        self._groups = solver.ocp.dynamics.parameters
-        self._parameters = np.zeros(self._groups.size)
+        self._tell: Step | None = None
         a = dict(zip(("times", "states", "inputs", "gains"), (each.reshape(-1) for each in self._plan), strict=True))
         a |= {name: np.zeros(size) for name, size in {"state": nx, "acted": nu, "trial": nx, "feedforward": nu}.items()}
         a |= solver.integrator | limits.arrays | {name: np.zeros(1) for name in ("limits", "active", "moving")}
@@ -84,6 +83,7 @@ class ModelSteps:
         constants = {"nu": self._next.size // 2, "size": n, "gates": observer.gate.size, "inertia": self._inertia.address}
         constants |= {"weighs": payload is not None, "leaning": lean is not None}
         constants["component"] = 0 if forecast is None else forecast.component.address
+        self._tell = bind(tell, self._arrays | a, backend, size=n, **_places(self._solver))
         return bind(learn, self._arrays | a, backend, **constants)
 
     @classmethod
@@ -112,12 +112,10 @@ class ModelSteps:
         observer.started = True
         return self._leans.tolist()
 
-    def vector(self, values: Mapping[str, Array]) -> Array:
-        """The model's parameters by group as a vector, which the next call changes; others are zero."""
-        self._parameters[:] = 0.0
-        for group, value in values.items():
-            self._parameters[self._groups[group]] = value
-        return self._parameters
+    def tell(self, push: Sequence[float]) -> bool:
+        """The solver gets what was learned as its model's parameters, with a ``push`` (2) [m], or nothing: what is not finite is no parameter."""
+        with self._solver.exclusive:
+            return self._tell is not None and self._tell(*push)
 
     def _take(self, policy: Policy) -> bool:
         """Whether the plan of a ``policy`` is one that fits: it is here then."""
@@ -165,6 +163,15 @@ class ModelSteps:
         with self._solver.exclusive:
             known = self._foresee(len(policy.u), t, self._period)
         return (trial.copy(), self._next[:nu].copy()) if known else None
+
+
+def _places(solver: Solver) -> dict[str, int]:
+    """Of :class:`Parameters`, in the memory of a ``solver``."""
+    groups, part = solver.ocp.dynamics.parameters, solver.problem.constant.slices["parameters"]
+    first = (solver.constants.ctypes.data - solver.integrator["memory"].ctypes.data) // 8 + part.start
+    learned = ("disturbance", "push", "payload")
+    at = {name: first + groups[name].start if name in groups else -1 for name in learned}
+    return {"first": first, "count": groups.size, **at}
 
 
 def _inertia(robot: RobotModel) -> CompiledFunction:
