@@ -208,30 +208,33 @@ class BallController:
     def _observe(self, measurement: BallMeasurement) -> None:
         if self.observer is None and self.shoves is None:
             return
-        if self.observer is not None:
-            self._learn(measurement.time, measurement.state, self.period)
-        steps = self._steps if self._own_parameters else None
-        if steps is None or not steps.tell(self._room()):
+        m, tells = measurement, self._own_parameters
+        if self.observer is None or not self._learn(m.time, m.state, self.period, tells):
             self.mpc.solver.set_parameters(self.parameters())
 
-    def _learn(self, t: float, x: np.ndarray, h: float) -> None:
-        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
-        observer, steps = self.observer, self._steps
+    def _learn(self, t: float, x: np.ndarray, h: float, tells: bool = False) -> bool:
+        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the solver has got them, which
+        this ``tells``."""
+        observer, steps, told = self.observer, self._steps, False
         assert observer is not None
         if steps is not None:
-            leans = steps.learn(t, x, self.sent.at(self._late()), h)
+            pushed = (0.0, 0.0) if self.shoves is None else self.shoves.room
+            leans, told = steps.learn(t, x, self.sent.at(self._late()), h, tells, pushed)
         else:
             observer.update(t, x, self._acted(), h)
             if self.payload is not None:
                 self.payload.observe(x[: observer.size], observer.arrays, observer.learning, h)
-        self.disturbance = self._finite(observer.force)
+        self.disturbance = observer.force
+        if not told:
+            self._finite(self.disturbance)
         if steps is not None:
             self._leant = self.measured, self.disturbance, leans
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x, self._leans())
+        return told
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
-        if not all(map(math.isfinite, disturbance.tolist())):
+        if not np.isfinite(disturbance).all():
             raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
 

@@ -44,15 +44,25 @@ class Component(NamedTuple):
     found: Floats  # (2)
 
 
+class Parameters(NamedTuple):
+    """Where a solver's memory has the ``count`` parameters of its model, and some of them; −1 for what it has not."""
+
+    first: int
+    count: int
+    disturbance: int
+    payload: int
+
+
 @MODEL.step
 def learn(
-    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, weighs: bool, leaning: bool,
-    nu: int, rows: Floats, row: int, started: bool, t: float, h: float,
-) -> float:  # fmt: skip
+    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, at: Parameters, weighs: bool,
+    leaning: bool, nu: int, rows: Floats, row: int, started: bool, t: float, h: float, tells: bool,
+) -> tuple[float, bool]:  # fmt: skip
     """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one), with its component, after a state at t [s], h
-    [s] after the one before (``started``: there was one), under the torques (nu) in a ``row``; returns how much of a constant
-    disturbance that can have learned."""
-    n = d.size
+    [s] after the one before (``started``: there was one), under the torques (nu) in a ``row``; ``tells``: the model gets them as its
+    parameters, and zero for all others. Returns how much of a constant disturbance that can have learned, and whether all is
+    finite: the model gets nothing else."""
+    n, finite = d.size, np.isfinite(p.load[Load.MASS])
     for i in range(nu):
         model.acted[i] = rows[row * nu + i]
     if not started:
@@ -83,37 +93,17 @@ def learn(
             by.places[0], by.places[1] = falls.given.ctypes.data, falls.found.ctypes.data
             call2(falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
             lean.leans[4], lean.leans[5] = falls.found[0] + lean.leans[0], falls.found[1] + lean.leans[1]
-    return learning
-
-
-class Parameters(NamedTuple):
-    """Where a solver's memory has the ``count`` parameters of its model, and which of them are learned; −1 for what it has not."""
-
-    memory: Floats
-    first: int
-    count: int
-    disturbance: int
-    push: int
-    payload: int
-
-
-@MODEL.step
-def tell(at: Parameters, size: int, force: Floats, load: Floats, x: float, y: float) -> bool:
-    """The parameters by what was learned, ``push`` (x, y) [m], all others zero; unless something is not finite, of which is told then."""
-    finite = np.isfinite(x) and np.isfinite(y) and np.isfinite(load[Load.MASS])
-    for i in range(size):
-        finite = finite and np.isfinite(force[i])
-    if not finite:
-        return False
-    for i in range(at.count):
-        at.memory[at.first + i] = 0.0
-    for i in range(size):
-        at.memory[at.disturbance + i] = force[i]
-    if at.push >= 0:
-        at.memory[at.push], at.memory[at.push + 1] = x, y
+    for i in range(n):
+        finite = finite and np.isfinite(d.force[i])
+    if not (finite and tells):
+        return learning, finite
+    for i in range(at.first, at.first + at.count):
+        model.memory[i] = 0.0
+    for i in range(n):
+        model.memory[at.disturbance + i] = d.force[i]
     if at.payload >= 0:
-        at.memory[at.payload] = load[Load.MASS]
-    return True
+        model.memory[at.payload] = p.load[Load.MASS]
+    return learning, finite
 
 
 @MODEL.step

@@ -13,7 +13,7 @@ from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_step import act, foresee, learn, tell, through
+from wbmpc.bases.ball.model_step import act, foresee, learn, through
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.sent_torques import SentTorques
 from wbmpc.bases.ball.torque_limits import TorqueLimits
@@ -53,7 +53,6 @@ class ModelSteps:
         n, nx, nu = solver.ocp.intervals, solver.problem.nx, solver.problem.nu
         self._plan = np.zeros(n + 1), np.zeros((n + 1, nx)), np.zeros((n, nu)), np.zeros((n, nu, nx))
         self._policy: Policy | None = None  # whose plan that is
-        self._tell: Step | None = None
         a = dict(zip(("times", "states", "inputs", "gains"), (each.reshape(-1) for each in self._plan), strict=True))
         a |= {name: np.zeros(size) for name, size in {"state": nx, "acted": nu, "trial": nx, "feedforward": nu}.items()}
         a |= solver.integrator | limits.arrays | {name: np.zeros(1) for name in ("limits", "active", "moving")}
@@ -83,8 +82,9 @@ class ModelSteps:
         constants = {"nu": self._next.size // 2, "size": n, "gates": observer.gate.size, "inertia": self._inertia.address}
         constants |= {"weighs": payload is not None, "leaning": lean is not None}
         constants["component"] = 0 if forecast is None else forecast.component.address
-        self._tell = bind(tell, self._arrays | a, backend, size=n, **_places(self._solver))
-        return bind(learn, self._arrays | a, backend, **constants)
+        places = _places(self._solver)
+        self._push, self._lean = places.pop("push"), lean
+        return bind(learn, self._arrays | a, backend, **constants, **places)
 
     @classmethod
     def of(
@@ -101,21 +101,24 @@ class ModelSteps:
         except UnsupportedOperation:
             return None
 
-    def learn(self, t: float, x: Array, row: int, h: float) -> list[float]:
+    def learn(
+        self, t: float, x: Array, row: int, h: float, tells: bool = False, pushed: Sequence[float] = (0.0, 0.0)
+    ) -> tuple[list[float], bool]:
         """As :meth:`DisturbanceObserver.update` under the torques in a ``row`` of those that were sent, :meth:`PayloadEstimator.observe`
-        after it, and :meth:`LeanControl.leans`, which it returns; with a forecast, the divergent component (2) [m] that counts after it."""
-        observer = self._observer
+        after it, and :meth:`LeanControl.leans`, which it returns; with a forecast, the divergent component (2) [m] that counts after it.
+        And whether the solver has got all of it as its model's parameters, with the room (2) [m] for what has ``pushed`` the robot: it
+        does if this ``tells`` it to, and all is finite."""
+        observer, m = self._observer, self._arrays["memory"]
         assert observer is not None
         self._arrays["state"][:] = x
         with self._solver.exclusive:
-            observer.learning = self._learn(row, observer.started, t, h)
+            observer.learning, finite = self._learn(row, observer.started, t, h, tells)
+            leans, told = self._leans.tolist(), finite and tells
+            if told and self._push >= 0:
+                right, left = (0.0, 0.0) if self._lean is None else self._lean.center(leans, float(x[2]))
+                m[self._push], m[self._push + 1] = pushed[0] + right, pushed[1] + left
         observer.started = True
-        return self._leans.tolist()
-
-    def tell(self, push: Sequence[float]) -> bool:
-        """The solver gets what was learned as its model's parameters, with a ``push`` (2) [m], or nothing: what is not finite is no parameter."""
-        with self._solver.exclusive:
-            return self._tell is not None and self._tell(*push)
+        return leans, told
 
     def _take(self, policy: Policy) -> bool:
         """Whether the plan of a ``policy`` is one that fits: it is here then."""
@@ -166,7 +169,7 @@ class ModelSteps:
 
 
 def _places(solver: Solver) -> dict[str, int]:
-    """Of :class:`Parameters`, in the memory of a ``solver``."""
+    """:class:`~wbmpc.bases.ball.model_step.Parameters` of a ``solver``, and where its ``push`` is."""
     groups, part = solver.ocp.dynamics.parameters, solver.problem.constant.slices["parameters"]
     first = (solver.constants.ctypes.data - solver.integrator["memory"].ctypes.data) // 8 + part.start
     learned = ("disturbance", "push", "payload")
