@@ -277,8 +277,8 @@ class BallController:
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
-        acted = self.sent.acted(self.sent.ticks(age)).tolist()
-        return sum(map(mul, self._spin, acted))  # (of its wheels alone: the shorter one ends it)
+        acted = self.sent.rows[self.sent.at(self.sent.ticks(age))]
+        return sum(map(mul, self._spin, acted.tolist()))  # (of its wheels alone: the shorter one ends it)
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""

@@ -104,9 +104,8 @@ class BallEstimator:
 
     def _detect_balance(self, interval: float, state: Array) -> bool:
         """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles. Whether it was now."""
-        m = self.arm.size
-        speeds = state[5 + m :].tolist()  # of ball (2), base (3) and arm
-        if max(map(abs, speeds[:2])) > SLOW or max(map(abs, speeds[5:]), default=0.0) > SLOW:
+        x, y, _, _, _, *arm = state[5 + self.arm.size :].tolist()
+        if abs(x) > SLOW or abs(y) > SLOW or max(map(abs, arm), default=0.0) > SLOW:
             self._stood = 0.0
             return False
         self._stood += interval

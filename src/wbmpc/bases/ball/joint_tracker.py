@@ -58,11 +58,6 @@ class JointTracker:
         return self._first
 
     @property
-    def reading(self) -> Array | None:
-        """The last readings (n) [rad] that counted; None before the first."""
-        return None if self._first else self.arrays["reading"].copy()
-
-    @property
     def jumped(self) -> NDArray[np.bool_]:
         """(n) whether a joint's last reading did not count."""
         return np.asarray(self.arrays["jumped"] > 0.0)

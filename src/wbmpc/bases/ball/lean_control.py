@@ -75,10 +75,9 @@ class LeanControl:
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
         """
-        x, y, *borne = leans[:4]
-        share = min(1.0, self._room / max(math.hypot(*borne), 1e-12))
-        c, s = cos_sin(yaw)
-        bx, by = share * borne[0], share * borne[1]
+        x, y, bx, by = leans[:4]
+        share, (c, s) = min(1.0, self._room / max(math.hypot(bx, by), 1e-12)), cos_sin(yaw)
+        bx, by = share * bx, share * by
         return x - (c * bx - s * by), y - (s * bx + c * by)
 
     def check(self, t: float, force: Array, x: Array, leans: Sequence[float] | None = None) -> None:

@@ -44,6 +44,7 @@ class SentTorques:
         if settings.dead_time > MAX_DEAD_TIME:
             raise InputError(f"actuator_dead_time: must be at most {MAX_DEAD_TIME:g} s, got {settings.dead_time:g} s")
         self._known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
+        self._oldest = self._known - 1 - self.dead
         # twice as many rows as are known: they move to the front when the last one is taken
         self.rows = np.tile(np.asarray(torque, float), (2 * self._known, 1))
         self._end = self._known
@@ -79,7 +80,7 @@ class SentTorques:
 
     def ticks(self, age: float) -> int:
         """``age`` [s] in ticks; what is older than all torques that are known counts as from the first."""
-        return min(round(age / self._period), self._known - 1 - self.dead)
+        return min(round(age / self._period), self._oldest)
 
     def at(self, ticks: int) -> int:
         """The row of what acted so many ticks ago."""
