@@ -123,6 +123,7 @@ def make(kind: type[BallController], mpc: MPC, observer: bool = True) -> BallCon
     arm = HOME[ROBOT.state["arm"]]
     made = kind(ROBOT, mpc, TORQUE, PERIOD, DriveSettings(0.02, 0.01), observer, None, FallPredictor(ROBOT, arm))
     made.lean_control, made.shoves = LeanControl(ROBOT, arm, 0.6, 2.0), PushEstimator(ROBOT, arm, 0.2)
+    made.payload = parts(mpc, 0.2)[1] if observer else None
     return made
 
 
