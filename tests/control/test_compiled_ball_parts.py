@@ -80,7 +80,9 @@ def test_monitors_of_both_back_ends() -> None:
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-@pytest.mark.parametrize(("surprised", "moves", "stalled"), [(False, 1e-3, True), (True, 1e-3, False), (True, 0.0, True)])
+@pytest.mark.parametrize(
+    ("surprised", "moves", "stalled"), [(False, 1e-3, True), (True, 1e-3, False), (True, 0.0, True)]
+)
 def test_what_a_surprise_makes_of_the_model_is_not_believed(
     backend: str, surprised: bool, moves: float, stalled: bool
 ) -> None:

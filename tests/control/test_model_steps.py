@@ -168,7 +168,9 @@ def test_a_policy_is_followed_as_by_its_parts(mpc: MPC, backend: Backend) -> Non
         twin.send(torque)
         np.testing.assert_allclose(sent.last, twin.last, **SAME)
         goes = twin.follow(limits.limited(plan.law(t, x), x), u)
-        for one, other in zip(steps.foresee(plan, t, x, u) or (), (mpc.solver.simulate(x, goes, PERIOD), goes), strict=True):
+        for one, other in zip(
+            steps.foresee(plan, t, x, u) or (), (mpc.solver.simulate(x, goes, PERIOD), goes), strict=True
+        ):
             np.testing.assert_allclose(one, other, **SAME)
         assert sent.count == 2 * k + 2
 

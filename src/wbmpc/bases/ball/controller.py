@@ -59,7 +59,7 @@ class BallController:
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limits = TorqueLimits(robot, torque.size)
-        self._spin = self.limits.spin.tolist()
+        self._spin, self._rates = self.limits.spin.tolist(), robot.state["arm_velocity"]
         self._cut = _ROUNDING * self.limits.limit
         self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
@@ -83,7 +83,9 @@ class BallController:
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self._steps_of: tuple[object, object, object, object, ModelSteps | None] | None = None  # of which parts
-        self._leant: tuple[object, object, Sequence[float]] | None = None  # at which measurement, under which disturbance
+        self._leant: tuple[object, object, Sequence[float]] | None = (
+            None  # at which measurement, under which disturbance
+        )
         self._steps_alike = type(self)._step is BallController._step
         self._own_parameters = type(self).parameters is BallController.parameters
         self._own_law = type(self)._law is BallController._law
@@ -109,7 +111,7 @@ class BallController:
     def _through(self, x: np.ndarray, rows: slice) -> np.ndarray:
         """The state x after these rows of the torques that were sent, each for a period."""
         if rows.start == rows.stop:
-            return x
+            return x.copy()
         steps = self._steps
         found = None if steps is None else steps.through(x, rows)
         if found is not None:
@@ -157,7 +159,7 @@ class BallController:
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
-        x, rates, acted = self.measured.state, self.robot.state["arm_velocity"], self.sent.at(self._late())
+        x, rates, acted = self.measured.state, self._rates, self.sent.at(self._late())
         self._accelerates = (self._through(x, slice(acted, acted + 1))[rates] - x[rates]) / self.period
 
     @property
@@ -183,7 +185,7 @@ class BallController:
         return 0.0 if self.payload is None else self.payload.mass
 
     def _pushed(self) -> Sequence[float] | np.ndarray:
-        """The estimated horizontal force (2) [N] at the end effector."""
+        """The estimated horizontal force (2) [N] at the end effector; a subclass that has one has a model of its own."""
         return (0.0, 0.0)
 
     def _leans(self) -> Sequence[float]:
@@ -242,8 +244,8 @@ class BallController:
         """The arm's joint that is believed to turn farthest beyond its limit, for there the model has no answer in the end;
         empty if none does."""
         assert self.measured is not None
-        part = self.robot.state["arm_velocity"]
-        speeds, limits = np.abs(self.measured.state[part]), self.robot.limits.state_upper[part]
+        speeds = np.abs(self.measured.state[self._rates])
+        limits = self.robot.limits.state_upper[self._rates]
         i = int(np.argmax(speeds / limits))
         name, push_fault = (
             self.robot.state.groups["arm"][i],
@@ -287,10 +289,11 @@ class BallController:
 
     def ahead(self) -> np.ndarray:
         """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
+        assert self.measured is not None
+        late, dead = self._late(), self.sent.dead
         if self._steps_alike:
-            assert self.measured is not None
-            return self._through(self.measured.state, self.sent.since(self._late() + self.sent.dead, 0))
-        return self._through(self.state(), self.sent.since(self.sent.dead, 0))  # what a subclass adds to the state now goes along
+            return self._through(self.measured.state, self.sent.since(late + dead, 0))
+        return self._through(self.state(), self.sent.since(dead, 0))  # what a subclass adds to the state now goes along
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until`` under the policies that will be active, through the drives' lag."""

@@ -48,7 +48,12 @@ class LeanControl:
         self.reach = float(self.balance.reach.min())
         whole = self.balance.shift + self.balance.stand
         #: everything by its name in :class:`wbmpc.bases.ball.lean_step.Lean`
-        self.arrays = {"shift": self.balance.shift.ravel(), "whole": whole.ravel(), "heading": np.zeros(BASE), "leans": np.zeros(6)}
+        self.arrays = {
+            "shift": self.balance.shift.ravel(),
+            "whole": whole.ravel(),
+            "heading": np.zeros(BASE),
+            "leans": np.zeros(6),
+        }
         self._room, self._force = max(MAXIMUM - share, 0.0) * self.reach, np.zeros(BASE)
         self._lean_offsets = bind(lean_offsets, self.arrays | {"force": self._force}, backend)
         self._ball_speed = slice(ball_base(robot).nq, ball_base(robot).nq + 2)

@@ -1,4 +1,4 @@
-"""What a ball robot's controller makes of a new state and of a policy, by its model, compiled: see :class:`wbmpc.bases.ball.model_steps.ModelSteps`."""
+"""What a ball robot's controller makes of states and policies by its model, compiled: see :class:`wbmpc.bases.ball.model_steps.ModelSteps`."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Component(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """Where a solver's memory has the ``count`` parameters of its model, and some of them; −1 for what it has not."""
+    """Where a solver's memory has the parameters of its model, from ``first`` to ``end``, and some of them; −1 for what it has not."""
 
     first: int
-    count: int
+    end: int
     disturbance: int
     payload: int
 
@@ -97,7 +97,7 @@ def learn(
         finite = finite and np.isfinite(d.force[i])
     if not (finite and tells):
         return learning, finite
-    for i in range(at.first, at.first + at.count):
+    for i in range(at.first, at.end):
         model.memory[i] = 0.0
     for i in range(n):
         model.memory[at.disturbance + i] = d.force[i]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -70,16 +70,22 @@ class ModelSteps:
         forecast: FallPredictor | None, backend: Backend,
     ) -> Step:  # fmt: skip
         n = observer.size
-        a = dict.fromkeys(("weight", "model", "believed", "apart", "load", "rule", "shift", "whole", "heading", "leans"))
-        a = {name: np.zeros(max(n, 6)) for name in a} | {"given": np.zeros(2 * n + 3), "found": np.zeros(2)}
-        a |= {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)} | observer.arrays
+        names = ("weight", "model", "believed", "apart", "load", "rule", "shift", "whole", "heading", "leans")
+        a: dict[str, NDArray[Any]] = {name: np.zeros(max(n, 6)) for name in names} | observer.arrays
+        a |= {"inertial": np.zeros(n * n + n), "given": np.zeros(2 * n + 3), "found": np.zeros(2)}
+        a["places"] = np.zeros(2, np.int64)
         if payload is not None:
             a |= payload.bound(observer.arrays)
         if lean is not None:
             a |= lean.arrays
         self._leans = a["leans"][: 4 if forecast is None else 6]
         self._inertia = _inertia(robot)
-        constants = {"nu": self._next.size // 2, "size": n, "gates": observer.gate.size, "inertia": self._inertia.address}
+        constants = {
+            "nu": self._next.size // 2,
+            "size": n,
+            "gates": observer.gate.size,
+            "inertia": self._inertia.address,
+        }
         constants |= {"weighs": payload is not None, "leaning": lean is not None}
         constants["component"] = 0 if forecast is None else forecast.component.address
         places = _places(self._solver)
@@ -88,7 +94,13 @@ class ModelSteps:
 
     @classmethod
     def of(
-        cls, robot: RobotModel, solver: object, limits: TorqueLimits, sent: SentTorques, period: float, learning: Learning
+        cls,
+        robot: RobotModel,
+        solver: object,
+        limits: TorqueLimits,
+        sent: SentTorques,
+        period: float,
+        learning: Learning,
     ) -> ModelSteps | None:
         """None where the solver is interpreted, has other states and inputs than the robot, or the model cannot be compiled."""
         if not isinstance(solver, Solver) or solver.settings.backend == "interpreted":
@@ -123,7 +135,10 @@ class ModelSteps:
     def _take(self, policy: Policy) -> bool:
         """Whether the plan of a ``policy`` is one that fits: it is here then."""
         n, (times, states, inputs, gains) = len(policy.u), self._plan
-        own, given = (times[: n + 1], states[: n + 1], inputs[:n], gains[:n]), (policy.times, policy.x, policy.u, policy.gain)
+        own, given = (
+            (times[: n + 1], states[: n + 1], inputs[:n], gains[:n]),
+            (policy.times, policy.x, policy.u, policy.gain),
+        )
         for mine, its in zip(own, given, strict=True):
             if mine.shape != its.shape or not n:
                 return False
@@ -174,7 +189,7 @@ def _places(solver: Solver) -> dict[str, int]:
     first = (solver.constants.ctypes.data - solver.integrator["memory"].ctypes.data) // 8 + part.start
     learned = ("disturbance", "push", "payload")
     at = {name: first + groups[name].start if name in groups else -1 for name in learned}
-    return {"first": first, "count": groups.size, **at}
+    return {"first": first, "end": first + groups.size, **at}
 
 
 def _inertia(robot: RobotModel) -> CompiledFunction:

@@ -114,11 +114,11 @@ class EncoderMonitor:
         """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
         as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n; 1 or 0)
         whose reading ``surprised`` it; the robot's ``state`` (nx), which a contact with itself is asked of."""
-        a, known = self._arrays, acceleration is not None
+        a = self._arrays
         a["arm"][:], a["surprised"][:] = arm, 0.0 if surprised is None else surprised
-        if known:
+        if acceleration is not None:
             a["speed"][:], a["acceleration"][:] = speed, acceleration
-        surprise, standing = self._watch(min(interval, self._most), t < self._doubted_until, known)
+        surprise, standing = self._watch(min(interval, self._most), t < self._doubted_until, acceleration is not None)
         if surprise:  # speeds, and what the model makes of them, are not to be believed
             self._doubted_until = t + DOUBTED
         if not (standing or estimator_faults or self._durations):

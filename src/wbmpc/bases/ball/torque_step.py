@@ -35,7 +35,13 @@ class Torques(NamedTuple):
 def limit_torques(drives: Torques) -> None:
     """Spins that wheel i can have beside c times what leans are -c at_i ± room_i; so is what there may be of it."""
     n, torque, out, turn, limit, at, room = (
-        drives.wheels, drives.torque, drives.out, drives.turn, drives.limit, drives.at, drives.room,
+        drives.wheels,
+        drives.torque,
+        drives.out,
+        drives.turn,
+        drives.limit,
+        drives.at,
+        drives.room,
     )
     x, level = -np.sin(drives.lean[0]), np.cos(drives.lean[0])
     y, z = level * np.sin(drives.lean[1]), level * np.cos(drives.lean[1])
