@@ -210,30 +210,30 @@ class BallController:
     def _observe(self, measurement: BallMeasurement) -> None:
         if self.observer is None and self.shoves is None:
             return
-        m, tells = measurement, self._own_parameters
-        if self.observer is None or not self._learn(m.time, m.state, self.period, tells):
+        m, forwards = measurement, self._own_parameters
+        if self.observer is None or not self._learn(m.time, m.state, self.period, forwards):
             self.mpc.solver.set_parameters(self.parameters())
 
-    def _learn(self, t: float, x: np.ndarray, h: float, tells: bool = False) -> bool:
-        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the solver has got them, which
-        this ``tells``."""
-        observer, steps, told = self.observer, self._steps, False
+    def _learn(self, t: float, x: np.ndarray, h: float, forwards: bool = False) -> bool:
+        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the solver has got them, as
+        is wished if this ``forwards`` them."""
+        observer, steps, forwarded = self.observer, self._steps, False
         assert observer is not None
         if steps is not None:
             pushed = (0.0, 0.0) if self.shoves is None else self.shoves.room
-            leans, told = steps.learn(t, x, self.sent.at(self._late()), h, tells, pushed)
+            leans, forwarded = steps.learn(t, x, self.sent.at(self._late()), h, forwards, pushed)
         else:
             observer.update(t, x, self._acted(), h)
             if self.payload is not None:
                 self.payload.observe(x[: observer.size], observer.arrays, observer.learning, h)
         self.disturbance = observer.force
-        if not told:
+        if not forwarded:
             self._finite(self.disturbance)
         if steps is not None:
             self._leant = self.measured, self.disturbance, leans
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x, self._leans())
-        return told
+        return forwarded
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
         if not np.isfinite(disturbance).all():

@@ -56,13 +56,13 @@ class Parameters(NamedTuple):
 @MODEL.step
 def learn(
     model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, at: Parameters, weighs: bool,
-    leaning: bool, nu: int, rows: Floats, row: int, started: bool, t: float, h: float, tells: bool,
+    has_lean: bool, nu: int, rows: Floats, row: int, started: bool, t: float, h: float, forwards: bool,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``leaning``: there is one), with its component, after a state at t [s], h
-    [s] after the one before (``started``: there was one), under the torques (nu) in a ``row``; ``tells``: the model gets them as its
+    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``has_lean``: there is one), with its component, after a state at t [s], h
+    [s] after the one before (``started``: there was one), under the torques (nu) in a ``row``; ``forwards``: the solver gets them as its model's
     parameters, and zero for all others. Returns how much of a constant disturbance that can have learned, and whether all is
-    finite: the model gets nothing else."""
-    n, finite = d.size, np.isfinite(p.load[Load.MASS])
+    finite: the solver gets nothing else."""
+    n = d.size
     for i in range(nu):
         model.acted[i] = rows[row * nu + i]
     if not started:
@@ -84,7 +84,7 @@ def learn(
         for i in range(n):
             p.weight[i] = by.inertial[n * n + i]
         update_mass(d, p, learning, h)
-    if leaning:
+    if has_lean:
         lean_offsets(lean, d.force, model.state[2])
         if falls.component != 0:
             for i in range(2 * n):
@@ -93,9 +93,10 @@ def learn(
             by.places[0], by.places[1] = falls.given.ctypes.data, falls.found.ctypes.data
             call2(falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
             lean.leans[4], lean.leans[5] = falls.found[0] + lean.leans[0], falls.found[1] + lean.leans[1]
+    finite = np.isfinite(p.load[Load.MASS])
     for i in range(n):
         finite = finite and np.isfinite(d.force[i])
-    if not (finite and tells):
+    if not (finite and forwards):
         return learning, finite
     for i in range(at.first, at.end):
         model.memory[i] = 0.0

@@ -86,7 +86,7 @@ class ModelSteps:
             "gates": observer.gate.size,
             "inertia": self._inertia.address,
         }
-        constants |= {"weighs": payload is not None, "leaning": lean is not None}
+        constants |= {"weighs": payload is not None, "has_lean": lean is not None}
         constants["component"] = 0 if forecast is None else forecast.component.address
         places = _places(self._solver)
         self._push, self._lean = places.pop("push"), lean
@@ -114,23 +114,23 @@ class ModelSteps:
             return None
 
     def learn(
-        self, t: float, x: Array, row: int, h: float, tells: bool = False, pushed: Sequence[float] = (0.0, 0.0)
+        self, t: float, x: Array, row: int, h: float, forwards: bool = False, pushed: Sequence[float] = (0.0, 0.0)
     ) -> tuple[list[float], bool]:
         """As :meth:`DisturbanceObserver.update` under the torques in a ``row`` of those that were sent, :meth:`PayloadEstimator.observe`
         after it, and :meth:`LeanControl.leans`, which it returns; with a forecast, the divergent component (2) [m] that counts after it.
         And whether the solver has got all of it as its model's parameters, with the room (2) [m] for what has ``pushed`` the robot: it
-        does if this ``tells`` it to, and all is finite."""
+        does if this ``forwards`` it, and all is finite."""
         observer, m = self._observer, self._arrays["memory"]
         assert observer is not None
         self._arrays["state"][:] = x
         with self._solver.exclusive:
-            observer.learning, finite = self._learn(row, observer.started, t, h, tells)
-            leans, told = self._leans.tolist(), finite and tells
-            if told and self._push >= 0:
+            observer.learning, finite = self._learn(row, observer.started, t, h, forwards)
+            leans, forwarded = self._leans.tolist(), finite and forwards
+            if forwarded and self._push >= 0:
                 right, left = (0.0, 0.0) if self._lean is None else self._lean.center(leans, float(x[2]))
                 m[self._push], m[self._push + 1] = pushed[0] + right, pushed[1] + left
         observer.started = True
-        return leans, told
+        return leans, forwarded
 
     def _take(self, policy: Policy) -> bool:
         """Whether the plan of a ``policy`` is one that fits: it is here then."""
