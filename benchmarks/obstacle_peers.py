@@ -28,6 +28,7 @@ from rich.table import Table
 from wbmpc.experiment import run_parts
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.route import base_part
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.ocp import Constraint, OptimalControlProblem, RelaxedBarrier
 from wbmpc.robots import load_spec
@@ -36,7 +37,6 @@ from wbmpc.simulation.obstacles import SimulatedObstacles
 from wbmpc.tasks.following import Task
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.obstacles import Among, static_scene
-from wbmpc.mpc.route import base_part
 
 Array = np.ndarray
 #: μ and δ [m] of the relaxed barriers.

@@ -20,10 +20,10 @@ from rooms import METHODS, shared
 
 from wbmpc import lie
 from wbmpc.model.robot import load_robot
+from wbmpc.mpc.route import base_part
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.obstacles.shapes import Box, Cylinder
 from wbmpc.tasks.rooms import EXPERIMENT, Room, RoomSettings, draw_room
-from wbmpc.mpc.route import base_part
 
 ROOT = Path(__file__).parents[1]
 Array = NDArray[np.float64]

@@ -47,5 +47,6 @@ def test_it_leans_against_forces_as_in_the_experiments(make: Any, share: float) 
     """Against one that is too strong with what is left of 90 % of the reach beside ``share``, to which the problem limits it."""
     lean_control = make().lean_control
     assert lean_control is not None and lean_control.speed == PushedDisturbance().max_pushed_speed
-    lean = lean_control.shift(STRONG, 0.3) - lean_control.center(STRONG, 0.3)
+    leans = lean_control.leans(STRONG, 0.3)
+    lean = np.array(leans[:2]) - lean_control.center(leans, 0.3)
     assert np.hypot(*lean) == pytest.approx((0.9 - share) * lean_control.reach)

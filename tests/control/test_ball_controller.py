@@ -205,7 +205,8 @@ def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learned() -> N
         state[N] = 0.9 * k * PERIOD
         controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
     given = controller.mpc.parameters[-1]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(given["push"], controller.lean_control.center(controller.disturbance, 0.0))
+    leans = controller.lean_control.leans(controller.disturbance, 0.0)
+    np.testing.assert_allclose(given["push"], controller.lean_control.center(leans, 0.0))
     assert given["push"][0] > 0.01
 
 

@@ -79,6 +79,22 @@ def test_monitors_of_both_back_ends() -> None:
     assert ("wheel_1", "stalled") in said and len(said) > 1
 
 
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize(
+    ("surprised", "moves", "stalled"), [(False, 1e-3, True), (True, 1e-3, False), (True, 0.0, True)]
+)
+def test_what_a_surprise_makes_of_the_model_is_not_believed(
+    backend: str, surprised: bool, moves: float, stalled: bool
+) -> None:
+    """A joint stands while the model has it accelerate for 15 ms to 7 rad/s, just after a reading that moved by 1 mrad."""
+    monitor, found = EncoderMonitor(3, ["elbow"], backend=backend), []  # type: ignore[arg-type]
+    for k in range(30):
+        acceleration = np.array([500.0 if 4 <= k < 10 else 0.0])
+        arm, surprise = np.array([moves * (k >= 3)]), np.array([float(surprised and k == 3)])
+        found += monitor.update(0.0025 * k, 0.0025, arm, np.zeros(1), acceleration, (), surprise)
+    assert [str(fault.kind) for fault in found] == ["stalled"] * stalled
+
+
 def rng_surprise(k: int) -> np.ndarray:
     return np.array([False, k % 40 == 0, False])
 

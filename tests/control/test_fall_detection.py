@@ -77,10 +77,10 @@ def test_a_learned_force_moves_the_lean_from_which_falls_count() -> None:
     lean = next(
         p
         for p in np.arange(0.2, 0.8, 0.005)
-        if forecast._component_of(tilted(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.3 * 0.1256
+        if forecast._maximum(tilted(p)[None], 0.0, np.zeros((1, 2)), (0.0, 0.0)) > 1.3 * 0.1256
     )
-    forecast._component_of(tilted(lean), 0.0, np.zeros(2), 0.0, 0.0)
-    away = forecast._one(1)[0].copy()
+    forecast._evaluate.arguments[0] = [*tilted(lean), 0.0, 0.0, 0.0]
+    away = forecast._evaluate(1)[0].copy()
     for k in range(20):
         stop_for(answered.update(0.0025 * k, tilted(lean), shift=-0.06 * away / np.linalg.norm(away)))
     with pytest.raises(FallPredicted):
@@ -95,7 +95,7 @@ def test_a_force_on_the_hand_moves_the_lean_from_which_falls_count() -> None:
     lean = next(
         p
         for p in np.arange(0.2, 0.6, 0.005)
-        if forecast._component_of(tilted(p), 0.0, np.zeros(2), 0.0, 0.0) > 1.1 * forecast.reach
+        if forecast._maximum(tilted(p)[None], 0.0, np.zeros((1, 2)), (0.0, 0.0)) > 1.1 * forecast.reach
     )
     for k in range(40):
         stop_for(forecast.update(0.0025 * k, tilted(lean), force=(against, 0.0)))

@@ -17,7 +17,15 @@ HEIGHT = 0.2
 
 def borne(force: np.ndarray) -> np.ndarray:
     """What the wheels bear (2) [m] of the reach."""
-    return np.array(LEAN._offsets(force, 0.0)[2:])
+    return np.array(LEAN.leans(force, 0.0)[2:4])
+
+
+def shift(force: np.ndarray) -> np.ndarray:
+    return np.array(LEAN.leans(force, 0.0)[:2])
+
+
+def center(force: np.ndarray, yaw: float = 0.0) -> np.ndarray:
+    return np.array(LEAN.center(LEAN.leans(force, yaw), yaw))
 
 
 def pushed(size: float, heading: float = 0.0) -> np.ndarray:
@@ -48,20 +56,20 @@ def test_what_the_wheels_bear_is_the_force_at_the_contact() -> None:
     moment = np.zeros(ROBOT.base.nq)
     moment[3] = 2.0
     assert np.abs(borne(moment)).max() < 1e-3 < 5e-3 < np.abs(stand(moment)).max()
-    np.testing.assert_allclose(LEAN.center(moment, 0.0), LEAN.shift(moment, 0.0) - borne(moment))
+    np.testing.assert_allclose(center(moment), shift(moment) - borne(moment))
 
 
 def test_the_limit_is_about_where_the_robot_stands_as_far_as_the_reach_allows() -> None:
     weak, strong = pushed(10.0), pushed(60.0)
-    np.testing.assert_allclose(LEAN.center(weak, 0.0), -stand(weak), atol=1e-12)  # in the middle of the limit
-    margin = 0.6 * LEAN.reach - np.abs(stand(strong) + LEAN.center(strong, 0.0))[0]
+    np.testing.assert_allclose(center(weak), -stand(weak), atol=1e-12)  # in the middle of the limit
+    margin = 0.6 * LEAN.reach - np.abs(stand(strong) + center(strong))[0]
     left = MAXIMUM * LEAN.reach - np.abs(borne(strong))[0]
     assert margin == pytest.approx(left, abs=1e-9) and left > 0.0
 
 
 def test_the_heading_turns_it_all() -> None:
-    along = LEAN.center(pushed(60.0), 0.0)
-    turned = LEAN.center(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
+    along = center(pushed(60.0))
+    turned = center(pushed(60.0, 0.5 * np.pi), 0.5 * np.pi)
     np.testing.assert_allclose(turned, [-along[1], along[0]], atol=1e-12)
 
 

@@ -3,7 +3,6 @@ observer's and the payload's own steps, one by one; and the same source as ordin
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
@@ -14,13 +13,21 @@ from toys import robot
 from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
-from wbmpc.bases.ball.model_steps import ModelSteps
+from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.messages import BallMeasurement
+from wbmpc.bases.ball.model_steps import Learning, ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
-from wbmpc.bases.ball.sent_torques import DriveSettings
+from wbmpc.bases.ball.push import PushEstimator
+from wbmpc.bases.ball.sent_torques import DriveSettings, SentTorques
 from wbmpc.bases.ball.settings import mpc_settings
+from wbmpc.bases.ball.torque_limits import TorqueLimits
+from wbmpc.errors import InputError, NotFinite
 from wbmpc.kernel.step import Backend
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.mpc import MPC
+from wbmpc.mpc.policy import Policy
+from wbmpc.mpc.policy_queue import PolicyQueue
 
 ROBOT, PERIOD = load_robot("rezero", payload=True), 0.0025
 HOME, TORQUE = ROBOT.base.numeric.equilibrium(robot("rezero").home[ROBOT.state["arm"]])
@@ -28,15 +35,25 @@ HOME, TORQUE = ROBOT.base.numeric.equilibrium(robot("rezero").home[ROBOT.state["
 SAME: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-11}
 
 
+def new_mpc() -> MPC:
+    return rezero_mpc(ROBOT, mpc_settings(barrier_mu=3e-2), RezeroCost())
+
+
 @pytest.fixture(scope="module")
 def mpc() -> MPC:
-    return rezero_mpc(ROBOT, mpc_settings(barrier_mu=3e-2), RezeroCost())
+    return new_mpc()
 
 
 def parts(mpc: MPC, mass: float = 0.0) -> tuple[DisturbanceObserver, PayloadEstimator]:
     numeric = ROBOT.base.numeric
     observer = DisturbanceObserver(mpc.solver.simulate, numeric.mass_matrix, ROBOT.base.nq, np.array(GATE))
     return observer, PayloadEstimator(numeric.tool_weight, mass=mass)
+
+
+def steps_of(mpc: MPC, learning: Learning, backend: Backend, period: float = PERIOD) -> tuple[ModelSteps, SentTorques]:
+    """Of drives without a lag."""
+    sent = SentTorques(TORQUE, period, DriveSettings())
+    return ModelSteps(ROBOT, mpc.solver, TorqueLimits(ROBOT, TORQUE.size), sent, period, learning, backend), sent
 
 
 def motion(count: int, seed: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
@@ -57,11 +74,12 @@ def motion(count: int, seed: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
 def test_what_is_learned_is_that_of_the_parts(mpc: MPC, backend: Backend) -> None:
     observer, payload = parts(mpc, 0.2)
     learned, weighed = parts(mpc, 0.2)
-    steps = ModelSteps(ROBOT, mpc.solver, learned, weighed, backend)
+    steps, sent = steps_of(mpc, Learning(learned, weighed), backend)
     for t, x, u in motion(320, 3):  # more than the observer needs to start
+        sent.send(u)
         observer.update(t, x, u, PERIOD)
         payload.observe(x[: ROBOT.base.nq], observer.arrays, observer.learning, PERIOD)
-        steps.learn(t, x, u, PERIOD)
+        steps.learn(t, x, sent.at(0), PERIOD)
         np.testing.assert_allclose(learned.force, observer.force, **SAME)
         assert weighed.mass == pytest.approx(payload.mass, rel=1e-9, abs=1e-11)
         assert learned.learning == pytest.approx(observer.learning, rel=1e-9)
@@ -69,7 +87,7 @@ def test_what_is_learned_is_that_of_the_parts(mpc: MPC, backend: Backend) -> Non
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-def test_accelerations_are_those_of_the_model(mpc: MPC, backend: Backend) -> None:
+def test_where_it_gets_is_by_the_equations_of_motion(mpc: MPC, backend: Backend) -> None:
     """Truth: the equations of motion, M v̇ + h = τ, solved by NumPy, over a step so short that they are constant."""
     base, n, (x, u) = ROBOT.base, ROBOT.base.nq, (HOME.copy(), TORQUE.copy())
     u[-1] += 0.5
@@ -78,8 +96,10 @@ def test_accelerations_are_those_of_the_model(mpc: MPC, backend: Backend) -> Non
     force = ca.Function("force", [q, given], [base.generalized_force(q, given, ca.SX.zeros(ROBOT.parameters.size))])
     torque = np.array(force(x[:n], u)).ravel() - base.numeric.inverse_dynamics(x[:n], x[n:], np.zeros(n))
     truth = np.linalg.solve(base.numeric.mass_matrix(x[:n]), torque)[5:]
-    found = ModelSteps(ROBOT, mpc.solver, None, None, backend).accelerations(x, u, 1e-6)
-    np.testing.assert_allclose(found, truth, rtol=1e-4, atol=1e-4)
+    steps, sent = steps_of(mpc, Learning(), backend, 1e-6)
+    sent.send(u)
+    found = (steps.through(x, slice(sent.at(0), sent.at(0) + 1)) - x) / 1e-6  # type: ignore[operator]
+    np.testing.assert_allclose(found[ROBOT.state["arm_velocity"]], truth, rtol=1e-4, atol=1e-4)
     assert np.abs(truth).max() > 1.0
 
 
@@ -90,16 +110,85 @@ class OwnModel(BallController):
         return self.mpc.solver.simulate(x, u, h)
 
 
-def test_a_controller_with_a_model_of_its_own_learns_the_same(mpc: MPC) -> None:
-    make: Callable[[type[BallController]], BallController]
-    make = lambda kind: kind(ROBOT, mpc, TORQUE, PERIOD, DriveSettings(0.02, 0.01))
-    ours, own = make(BallController), make(OwnModel)
-    assert ours._model_steps is not None and own._model_steps is None
-    for t, x, u in motion(20, 5):
+def policy(seed: int, n: int = 5) -> Policy:
+    """Of n intervals of 10 ms near the equilibrium; torques beyond what the drives can."""
+    rng, size = np.random.default_rng(seed), HOME.size
+    states = HOME + 0.01 * rng.normal(size=(n + 1, size))
+    inputs, gains = TORQUE + 3.0 * rng.normal(size=(n, TORQUE.size)), 5.0 * rng.normal(size=(n, TORQUE.size, size))
+    return Policy(0.01 * np.arange(n + 1), states, inputs, gains)
+
+
+def make(kind: type[BallController], mpc: MPC, observer: bool = True) -> BallController:
+    """With all that a new state is asked for."""
+    arm = HOME[ROBOT.state["arm"]]
+    made = kind(ROBOT, mpc, TORQUE, PERIOD, DriveSettings(0.02, 0.01), observer, None, FallPredictor(ROBOT, arm))
+    made.lean_control, made.shoves = LeanControl(ROBOT, arm, 0.6, 2.0), PushEstimator(ROBOT, arm, 0.2)
+    made.payload = parts(mpc, 0.2)[1] if observer else None
+    return made
+
+
+def test_a_controller_with_a_model_of_its_own_does_the_same() -> None:
+    """What is learned, what the solver gets of it, the lean, predictions and torques; for more ticks than torques are remembered."""
+    (ours, own), plans, cut = (make(kind, new_mpc()) for kind in (BallController, OwnModel)), PolicyQueue(), 0
+    assert ours._steps is not None and own._steps is None
+    for k, (t, x, _) in enumerate(motion(200, 5)):
+        if k % 5 == 0:
+            plans.current = policy(k, 5 if k % 10 else 1)
+        found = []
         for controller in (ours, own):
-            controller.sent.send(u)
-            controller._known_acted = None
-            controller.measured = type("Measured", (), {"state": x, "age": 0.0})()  # type: ignore[assignment]
-            controller._learn(t, x, PERIOD)
-        np.testing.assert_allclose(ours.disturbance, own.disturbance, **SAME)
-    assert np.abs(own.disturbance).max() > 0.01
+            controller.measure(BallMeasurement(t, x, 2.0 * PERIOD))
+            given = ROBOT.parameters.vector(controller.parameters())
+            np.testing.assert_allclose(controller.mpc.solver.parameters, given, rtol=1e-12, atol=1e-15)
+            predicted = controller.predict(0.002 * (k % 5), 0.002 * (k % 5) + 4.0 * PERIOD, plans).x
+            command = controller.command(0.002 * (k % 5), plans).torque
+            what = (controller.disturbance, controller._leans()[:4], controller.state(), predicted, command)
+            found.append([*what, controller.target, controller.feedforward, controller.sent.last])
+        for one, other in zip(*found, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
+        component = ours.forecast._maximum(x[None], ours.payload.mass, np.zeros((1, 2)), ours._answered())  # type: ignore[union-attr]
+        assert np.hypot(*ours._leans()[4:]) == pytest.approx(component, rel=1e-9)
+        cut += int(ours.clamped)
+    assert np.abs(own.disturbance).max() > 0.01 and cut > 10
+    assert ours.sent.count == own.sent.count == 200 > len(ours.sent.rows)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_a_policy_is_followed_as_by_its_parts(mpc: MPC, backend: Backend) -> None:
+    """Truth: the policy's own law, limits and drives, and the solver's integrator, one by one."""
+    limits, plan, late = TorqueLimits(ROBOT, TORQUE.size), policy(1), 3
+    sent, twin = (SentTorques(TORQUE, PERIOD, DriveSettings(0.02, 0.005)) for _ in range(2))
+    steps = ModelSteps(ROBOT, mpc.solver, limits, sent, PERIOD, Learning(), backend)
+    for k, (t, x, u) in enumerate(motion(6, 2)):
+        sent.send(u), twin.send(u)
+        acts = mpc.solver.simulate(x, twin.rows[twin.since(late + twin.dead, 0)], PERIOD)
+        wanted = plan.feedforward(t), plan.law(t, acts)
+        torque = limits.limited(wanted[1], acts)
+        for one, other in zip(steps.act(plan, t, x, late) or (), (*wanted, torque), strict=True):
+            np.testing.assert_allclose(one, other, **SAME)
+        twin.send(torque)
+        np.testing.assert_allclose(sent.last, twin.last, **SAME)
+        goes = twin.follow(limits.limited(plan.law(t, x), x), u)
+        for one, other in zip(
+            steps.foresee(plan, t, x, u) or (), (mpc.solver.simulate(x, goes, PERIOD), goes), strict=True
+        ):
+            np.testing.assert_allclose(one, other, **SAME)
+        assert sent.count == 2 * k + 2
+
+
+def test_what_cannot_be_followed_is_said_by_the_parts(mpc: MPC) -> None:
+    controller, plans, plan = make(BallController, mpc, observer=False), PolicyQueue(), policy(1)
+    controller.forecast, wide = None, Policy(plan.times, np.zeros((6, 17)), plan.u, np.zeros((5, 6, 17)))
+    inputs = Policy(plan.times, plan.x, plan.u[:, :5], plan.gain[:, :5])
+    cases = (
+        (plan, 0.0, np.full(16, np.nan), NotFinite, "simulate: 'base.x' must be finite"),
+        (plan, np.nan, HOME, NotFinite, "policy: time and state must be finite"),
+        (plan, np.inf, HOME, NotFinite, "policy: time and state must be finite"),
+        (plan, 0.0, HOME[:15], InputError, "16 states and 6 inputs are needed, got shapes"),
+        (wide, 0.0, HOME, InputError, "a state of 17 numbers is needed"),
+        (inputs, 0.0, HOME, ValueError, "broadcast"),
+    )
+    for plans.current, t, x, error, said in cases:
+        controller.measured = BallMeasurement(0.0, x, 0.0)
+        with pytest.raises(error, match=said):
+            controller.command(t, plans)
+    assert controller.sent.count == 0

@@ -185,7 +185,7 @@ def test_joints_are_followed_the_same_by_both_back_ends() -> None:
             tracker.update(0.2 if k == 40 else H, reading)
         np.testing.assert_array_equal(one.jumped, other.jumped)
         np.testing.assert_array_equal(one.surprised, other.surprised)
-        np.testing.assert_array_equal(one.reading, other.reading)
+        np.testing.assert_array_equal(one.arrays["reading"], other.arrays["reading"])
         np.testing.assert_allclose(one.angle, other.angle, atol=1e-9)
         np.testing.assert_allclose(one.rate, other.rate, atol=1e-7)
         jumps += int(one.jumped.sum())

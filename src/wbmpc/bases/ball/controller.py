@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from operator import mul
 
 import numpy as np
@@ -14,7 +15,7 @@ from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.bases.ball.model_steps import ModelSteps
+from wbmpc.bases.ball.model_steps import Learning, ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.self_contact import SelfContact
@@ -58,7 +59,7 @@ class BallController:
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
         self.forecast = forecast
         self.limits = TorqueLimits(robot, torque.size)
-        self._spin = self.limits.spin.tolist()
+        self._spin, self._rates = self.limits.spin.tolist(), robot.state["arm_velocity"]
         self._cut = _ROUNDING * self.limits.limit
         self.sent = SentTorques(torque, period, drives)
         self.observer: DisturbanceObserver | None = None
@@ -81,14 +82,13 @@ class BallController:
             own = SelfContact(robot) if robot.description.collision.self.pairs else None
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
-        self._known: tuple[object, int, np.ndarray] | None = (
-            None  # of which measurement and how many commands, the state now
+        self._steps_of: tuple[object, object, object, object, ModelSteps | None] | None = None  # of which parts
+        self._leant: tuple[object, object, Sequence[float]] | None = (
+            None  # at which measurement, under which disturbance
         )
-        self._known_acted: tuple[object, int, np.ndarray] | None = (
-            None  # the same of the torques that acted at the measurement
-        )
-        self._steps_of: tuple[object, object, ModelSteps | None] | None = None  # of which observer and payload
         self._steps_alike = type(self)._step is BallController._step
+        self._own_parameters = type(self).parameters is BallController.parameters
+        self._own_law = type(self)._law is BallController._law
         self.target = torque.copy()  # what the policy asks for, before it is clipped [N m]
         self.feedforward = torque.copy()  # its part without feedback
         self.torque = torque.copy()  # what the drives were last asked for
@@ -97,20 +97,26 @@ class BallController:
         return self.mpc.solver.simulate(x, u, h)
 
     @property
-    def _model_steps(self) -> ModelSteps | None:
-        """The model in compiled steps; None where a subclass has one of its own."""
+    def _steps(self) -> ModelSteps | None:
+        """The model in compiled steps; None where a subclass has one of its own, or the solver's is not compiled."""
         if not self._steps_alike:
             return None
-        parts = (self.observer, self.payload)
+        a, b, c, d = self.observer, self.payload, self.lean_control, self.forecast
         known = self._steps_of
-        if known is None or known[0] is not parts[0] or known[1] is not parts[1]:
-            self._steps_of = known = *parts, ModelSteps.of(self.robot, self.mpc.solver, *parts)
-        return known[2]
+        if known is None or known[0] is not a or known[1] is not b or known[2] is not c or known[3] is not d:
+            own = (self.mpc.solver, self.limits, self.sent, self.period, Learning(a, b, c, d))
+            self._steps_of = known = a, b, c, d, ModelSteps.of(self.robot, *own)
+        return known[4]
 
-    def _through(self, x: np.ndarray, torques: np.ndarray) -> np.ndarray:
-        """The state x after ``torques`` (k, n + m), each for a period."""
-        if not len(torques):
-            return x
+    def _through(self, x: np.ndarray, rows: slice) -> np.ndarray:
+        """The state x after these rows of the torques that were sent, each for a period."""
+        if rows.start == rows.stop:
+            return x.copy()
+        steps = self._steps
+        found = None if steps is None else steps.through(x, rows)
+        if found is not None:
+            return found
+        torques = self.sent.rows[rows]
         if self._steps_alike:
             return self._step(x, torques, self.period)
         for torque in torques:  # what else moves is for one step
@@ -129,8 +135,12 @@ class BallController:
         self._detect_pushes(measurement.state, self.period)
         self._observe(measurement)
         if self.forecast is not None:
-            m, more = measurement, (self._carried(), self._pushed(), self._answered())
-            stop_for(self.forecast.update(m.time, m.state, *more))
+            m, component = measurement, self._leans()[4:]
+            if component:
+                stop_for(self.forecast.judge(m.time, math.hypot(*component)))
+            else:
+                more = self._carried(), self._pushed(), self._answered()
+                stop_for(self.forecast.update(m.time, m.state, *more))
 
     def _monitor_encoders(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -149,12 +159,8 @@ class BallController:
             _LOG.warning("%s", fault)
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
-        x, acted, model = self.measured.state, self._acted(), self._model_steps
-        if model is not None:
-            self._accelerates = model.accelerations(x, acted, self.period)
-            return
-        rates = self.robot.state["arm_velocity"]
-        self._accelerates = (self._step(x, acted, self.period)[rates] - x[rates]) / self.period
+        x, rates, acted = self.measured.state, self._rates, self.sent.at(self._late())
+        self._accelerates = (self._through(x, slice(acted, acted + 1))[rates] - x[rates]) / self.period
 
     @property
     def limit(self) -> np.ndarray:
@@ -178,15 +184,23 @@ class BallController:
         """The mass [kg] that the end effector is believed to hold."""
         return 0.0 if self.payload is None else self.payload.mass
 
-    def _pushed(self) -> np.ndarray:
-        """The estimated horizontal force (2) [N] at the end effector."""
-        return np.zeros(2)
+    def _pushed(self) -> Sequence[float] | np.ndarray:
+        """The estimated horizontal force (2) [N] at the end effector; a subclass that has one has a model of its own."""
+        return (0.0, 0.0)
 
-    def _answered(self) -> np.ndarray:
+    def _leans(self) -> Sequence[float]:
+        """:meth:`LeanControl.leans` (4) [m] under the learned disturbance; the lean's component (2) [m], where it is known too."""
+        known, measured, control = self._leant, self.measured, self.lean_control
+        if control is None or measured is None:
+            return (0.0,) * 4
+        if known is None or known[0] is not measured or known[1] is not self.disturbance:
+            leans = control.leans(self.disturbance, float(measured.state[2]))
+            self._leant = known = measured, self.disturbance, leans
+        return known[2]
+
+    def _answered(self) -> Sequence[float]:
         """By how much (2) [m] the lean's divergent component counts like more than it is, under the learned disturbance."""
-        if self.lean_control is None or self.measured is None:
-            return np.zeros(2)
-        return self.lean_control.shift(self.disturbance, float(self.measured.state[2]))
+        return self._leans()[:2]
 
     def _detect_pushes(self, x: np.ndarray, h: float) -> None:
         """Estimate a push from the state x, ``h`` [s] after the one before."""
@@ -196,26 +210,33 @@ class BallController:
     def _observe(self, measurement: BallMeasurement) -> None:
         if self.observer is None and self.shoves is None:
             return
-        if self.observer is not None:
-            self._learn(measurement.time, measurement.state, self.period)
-        self.mpc.solver.set_parameters(self.parameters())
+        m, forwards = measurement, self._own_parameters
+        if self.observer is None or not self._learn(m.time, m.state, self.period, forwards):
+            self.mpc.solver.set_parameters(self.parameters())
 
-    def _learn(self, t: float, x: np.ndarray, h: float) -> None:
-        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before."""
-        observer, n, model = self.observer, ball_base(self.robot).nq, self._model_steps
+    def _learn(self, t: float, x: np.ndarray, h: float, forwards: bool = False) -> bool:
+        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the solver has got them, as
+        is wished if this ``forwards`` them."""
+        observer, steps, forwarded = self.observer, self._steps, False
         assert observer is not None
-        if model is not None:
-            model.learn(t, x, self._acted(), h)
+        if steps is not None:
+            pushed = (0.0, 0.0) if self.shoves is None else self.shoves.room
+            leans, forwarded = steps.learn(t, x, self.sent.at(self._late()), h, forwards, pushed)
         else:
             observer.update(t, x, self._acted(), h)
             if self.payload is not None:
-                self.payload.observe(x[:n], observer.arrays, observer.learning, h)
-        self.disturbance = self._finite(observer.force)
+                self.payload.observe(x[: observer.size], observer.arrays, observer.learning, h)
+        self.disturbance = observer.force
+        if not forwarded:
+            self._finite(self.disturbance)
+        if steps is not None:
+            self._leant = self.measured, self.disturbance, leans
         if self.lean_control is not None:
-            self.lean_control.check(t, self.disturbance, x)
+            self.lean_control.check(t, self.disturbance, x, self._leans())
+        return forwarded
 
     def _finite(self, disturbance: np.ndarray) -> np.ndarray:
-        if not all(map(math.isfinite, disturbance.tolist())):
+        if not np.isfinite(disturbance).all():
             raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
         return disturbance
 
@@ -223,8 +244,8 @@ class BallController:
         """The arm's joint that is believed to turn farthest beyond its limit, for there the model has no answer in the end;
         empty if none does."""
         assert self.measured is not None
-        part = self.robot.state["arm_velocity"]
-        speeds, limits = np.abs(self.measured.state[part]), self.robot.limits.state_upper[part]
+        speeds = np.abs(self.measured.state[self._rates])
+        limits = self.robot.limits.state_upper[self._rates]
         i = int(np.argmax(speeds / limits))
         name, push_fault = (
             self.robot.state.groups["arm"][i],
@@ -236,16 +257,16 @@ class BallController:
         """The model's parameters by group, as they are believed now."""
         own = {"disturbance": self.disturbance}
         if self.shoves is not None or self.lean_control is not None:
-            own["push"] = self._room()
+            own["push"] = np.array(self._room())
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
-    def _room(self) -> np.ndarray:
+    def _room(self) -> Sequence[float]:
         """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
-        pushed = None if self.shoves is None else self.shoves.room
+        pushed = (0.0, 0.0) if self.shoves is None else self.shoves.room
         if self.lean_control is None or self.measured is None:
-            return np.zeros(2) if pushed is None else pushed
-        learned = self.lean_control.center(self.disturbance, float(self.measured.state[2]))
-        return learned if pushed is None else pushed + learned
+            return pushed
+        x, y = self.lean_control.center(self._leans(), float(self.measured.state[2]))
+        return pushed[0] + x, pushed[1] + y
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
@@ -254,16 +275,12 @@ class BallController:
 
     def _acted(self) -> np.ndarray:
         """The torques (n + m) that acted at the measurement."""
-        measured, sent = self.measured, self.sent
-        known = self._known_acted
-        if known is None or known[0] is not measured or known[1] != sent.count:
-            self._known_acted = known = measured, sent.count, sent.acted(self._late())
-        return known[2]
+        return self.sent.acted(self._late())
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
-        acted = self.sent.acted(self.sent.ticks(age)).tolist()
-        return sum(map(mul, self._spin, acted))  # (of its wheels alone: the shorter one ends it)
+        acted = self.sent.rows[self.sent.at(self.sent.ticks(age))]
+        return sum(map(mul, self._spin, acted.tolist()))  # (of its wheels alone: the shorter one ends it)
 
     def state(self) -> np.ndarray:
         """The measured state brought up to now by the torques that have acted since."""
@@ -272,26 +289,25 @@ class BallController:
 
     def ahead(self) -> np.ndarray:
         """The state in which the next command will act: by the dead time after now, under the torques that were sent before."""
-        known, measured, sent = self._known, self.measured, self.sent
-        if known is None or known[0] is not measured or known[1] != sent.count:
-            assert measured is not None
-            if self._steps_alike:
-                x = self._through(measured.state, sent.since(self._late() + sent.dead, 0))
-            else:  # what a subclass adds to the state now goes along
-                x = self._through(self.state(), sent.since(sent.dead, 0))
-            self._known = known = measured, sent.count, x
-        return known[2].copy()
+        assert self.measured is not None
+        late, dead = self._late(), self.sent.dead
+        if self._steps_alike:
+            return self._through(self.measured.state, self.sent.since(late + dead, 0))
+        return self._through(self.state(), self.sent.since(dead, 0))  # what a subclass adds to the state now goes along
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until`` under the policies that will be active, through the drives' lag."""
         x, torque, dead = self.ahead(), self.sent.last, self.sent.dead * self.period
+        steps = self._steps if self._own_law else None
         for k in range(round((until - t) / self.period)):
-            policy = plans.at(t + k * self.period)
+            policy, now = plans.at(t + k * self.period), t + dead + k * self.period
             if policy is None:
                 break
-            target = self.limits.limited(self._law(t + dead + k * self.period, x, policy)[1], x)
-            torque = self.sent.follow(target, torque)
-            x = self._step(x, torque, self.period)
+            found = None if steps is None else steps.foresee(policy, now, x, torque)
+            if found is None:
+                torque = self.sent.follow(self.limits.limited(self._law(now, x, policy)[1], x), torque)
+                found = self._step(x, torque, self.period), torque
+            x, torque = found
         return Observation(until + dead, x)
 
     def stop(self) -> BallCommand:
@@ -303,8 +319,15 @@ class BallController:
         forecast, plan = self.forecast, plans.current
         if forecast is not None and plan is not None and plan is not forecast.seen:
             stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
+        now, measured, found = t + self.sent.dead * self.period, self.measured, None
+        steps = self._steps if self._own_law else None
+        if steps is not None and plan is not None and measured is not None:
+            found = steps.act(plan, now, measured.state, self._late())
+        if found is not None:
+            self.feedforward, self.target, self.torque = found
+            return BallCommand.plain(self.torque)
         x = self.ahead()
-        self.feedforward, self.target = self._law(t + self.sent.dead * self.period, x, plans.current, acts=True)
+        self.feedforward, self.target = self._law(now, x, plan, acts=True)
         return self._drive(self.limits.limited(self.target, x))
 
     def _law(self, t: float, x: np.ndarray, policy: Policy | None, acts: bool = False) -> tuple[np.ndarray, np.ndarray]:

@@ -72,9 +72,9 @@ class BallEstimator:
             return self.state
         self._time = time
         if interval > 0.0:
-            self.arm.update(interval, angles)
+            self.arm.take_in(interval, angles)
         state = self.state
-        if interval > 0.0 and not self._balanced and self._detect_balance(interval, state):
+        if not self._balanced and interval > 0.0 and self._detect_balance(interval, state):
             state = self.state
         self._places.append((time, state[:3].copy()))
         while self._places[0][0] < time - HISTORY:
@@ -104,9 +104,8 @@ class BallEstimator:
 
     def _detect_balance(self, interval: float, state: Array) -> bool:
         """Once: after standing still, the lean is that of the model's equilibrium for the present arm angles. Whether it was now."""
-        m = self.arm.size
-        speeds = state[5 + m :].tolist()  # of ball (2), base (3) and arm
-        if max(map(abs, speeds[:2])) > SLOW or max(map(abs, speeds[5:]), default=0.0) > SLOW:
+        x, y, _, _, _, *arm = state[5 + self.arm.size :].tolist()
+        if abs(x) > SLOW or abs(y) > SLOW or max(map(abs, arm), default=0.0) > SLOW:
             self._stood = 0.0
             return False
         self._stood += interval
@@ -120,10 +119,11 @@ class BallEstimator:
     def faults(self) -> tuple[str, ...]:
         """What is wrong with the last readings: the filter's ``faults`` (the inertial unit's jumps only while no arm that is flung
         explains them), and joints whose encoder ``jumps``."""
-        names = self._robot.state.groups["arm"]
+        if not (self.filter.faults or self.arm.any_jumped):
+            return ()
+        names, jumped = self._robot.state.groups["arm"], self.arm.jumped
         own = tuple(f for f in self.filter.faults if f != "imu jumps" or not self.arm.flung)
-        jumped = self.arm.arrays["jumped"].tolist()
-        return own + tuple(f"{names[i]} jumps" for i, it in enumerate(jumped) if it) if any(jumped) else own
+        return own + tuple(f"{names[i]} jumps" for i in np.flatnonzero(jumped))
 
     @property
     def state(self) -> Array:

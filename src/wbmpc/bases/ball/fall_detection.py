@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -73,20 +73,21 @@ class FallPredictor:
         offset = load_offset(ball_base(robot), x[:n], w)
         component = offset + ca.jacobian(offset, x[:n]) @ x[n : 2 * n] / balance.pole + balance.answer * end_effector
         given = ca.vertcat(x, mass, end_effector)
-        function = CompiledFunction(ca.Function("component", [given], [ca.densify(component)]))
-        self._evaluate, self._one, self._size = function.evaluator(PLANNED), function.evaluator(1), robot.state.size
+        #: the divergent component (2) [m] of a state (nx), a mass [kg] at the tool and a force (2) [N] there
+        self.component = CompiledFunction(ca.Function("component", [given], [ca.densify(component)]))
+        self._evaluate, self._size = self.component.evaluator(PLANNED), robot.state.size
         #: the plan that was checked last
         self.seen: Policy | None = None
 
-    def update_plan(self, policy: Policy, payload: float = 0.0, shift: ArrayLike = (0.0, 0.0)) -> list[Fall]:
+    def update_plan(self, policy: Policy, payload: float = 0.0, shift: Sequence[float] = (0.0, 0.0)) -> list[Fall]:
         """What follows from the active plan (the same one again changes nothing); ``payload`` [kg] at the tool, if the model has it;
         ``shift`` (2) [m] of the divergent component."""
         if policy is self.seen:
             return []
         self.seen = policy
-        soon = policy.times[1:] <= policy.times[0] + self._ahead
-        force = np.zeros((len(policy.u), 2)) if self._force is None else policy.u[:, self._force][:, :2]
-        maximum = self._maximum(policy.x[1:][soon], payload, force[soon], shift) if soon.any() else 0.0
+        soon = int(policy.times.searchsorted(policy.times[0] + self._ahead, "right")) - 1
+        force = np.zeros((soon, 2)) if self._force is None else policy.u[:soon, self._force][:, :2]
+        maximum = self._maximum(policy.x[1 : soon + 1], payload, force, shift)
         self._bad = self._bad + 1 if maximum > self.reach else 0
         if self._bad >= self._plans:
             return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", maximum)]
@@ -98,20 +99,23 @@ class FallPredictor:
         x: np.ndarray,
         payload: float = 0.0,
         force: ArrayLike = (0.0, 0.0),
-        shift: ArrayLike = (0.0, 0.0),
+        shift: Sequence[float] = (0.0, 0.0),
     ) -> list[Fall]:
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
-        maximum = self._component_of(x, payload, force, *np.asarray(shift, float).tolist())
+        return self.judge(t, self._maximum(x[None], payload, np.array([force]), shift))
+
+    def judge(self, t: float, maximum: float) -> list[Fall]:
+        """As :meth:`update`, of a divergent component that is ``maximum`` [m] long."""
         if maximum <= self.reach or not math.isfinite(self._within):
             self._within = t
         if t - self._within >= self._seconds:
             return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", maximum)]
         return []
 
-    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: ArrayLike) -> float:
+    def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: Sequence[float]) -> float:
         """Largest divergent component [m] of states (n, nx) under forces (n, 2) [N] on the end effector, and a ``shift`` (2)."""
-        (x, y), n, most = np.asarray(shift, float).tolist(), self._size, 0.0
+        (x, y), n, most = shift, self._size, 0.0
         for start in range(0, len(states), PLANNED):
             some = slice(start, start + PLANNED)
             count = len(states[some])
@@ -119,13 +123,6 @@ class FallPredictor:
             given[:, :n], given[:, n], given[:, n + 1 :] = states[some, :n], payload, force[some]
             most = max(most, *(math.hypot(u + x, v + y) for u, v in self._evaluate(count).tolist()))
         return most
-
-    def _component_of(self, state: np.ndarray, payload: float, force: ArrayLike, x: float, y: float) -> float:
-        """The divergent component [m] of a state (nx)."""
-        given, n = self._one.arguments[0], self._size
-        given[:n], given[n], given[n + 1 :] = state[:n], payload, force
-        ((u, v),) = self._one(1).tolist()
-        return math.hypot(u + x, v + y)
 
     def _fall(self, t: float, who: str, maximum: float) -> Fall:
         lean = f"{who} by {1e3 * maximum:.0f} mm at the center of mass"

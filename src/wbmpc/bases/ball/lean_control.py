@@ -4,42 +4,20 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc.arrays import Array
 from wbmpc.bases.ball.balance import Balance
-from wbmpc.bases.ball.compilation import step
+from wbmpc.bases.ball.lean_step import BASE, lean_offsets
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.errors import DisturbanceTooLarge
-from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.lie import cos_sin
 from wbmpc.model.robot import RobotModel
-
-#: Coordinates of ball and base, before those of the arm.
-BASE = 5
-
-
-@step
-def lean_offsets(shift: Floats, whole: Floats, force: Floats, heading: Floats, out: Floats, yaw: float) -> None:
-    """Of a ``force`` (5) in the world's axes: ``shift`` (2, 5) times it along the world's axes, and ``whole`` (2, 5) times it along
-    those of the base's ``heading`` at ``yaw`` [rad], in ``out`` (4)."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    for i in range(BASE):
-        heading[i] = force[i]
-    heading[0], heading[1] = c * force[0] + s * force[1], c * force[1] - s * force[0]
-    for k in range(4):
-        out[k] = 0.0
-    for i in range(BASE):
-        for k in range(2):
-            out[k] += shift[k * BASE + i] * heading[i]
-            out[2 + k] += whole[k * BASE + i] * heading[i]
-    x, y = out[0], out[1]
-    out[0], out[1] = c * x - s * y, s * x + c * y
-
 
 _LOG = logging.getLogger("wbmpc")
 #: The share of the wheels' reach up to which a robot leans against a force that lasts: the rest is for balancing there. With all
@@ -67,19 +45,17 @@ class LeanControl:
         positive("lean_control", speed=speed)
         arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
         self.balance, self.speed = Balance.of(robot, arm), speed
-        self._force, self._out = np.zeros(BASE), np.zeros(4)
-        arrays = {
-            "force": self._force,
-            "out": self._out,
-            "heading": np.zeros(BASE),
-            "shift": self.balance.shift.ravel(),
-        }
-        self._lean_offsets = bind(
-            lean_offsets, arrays | {"whole": (self.balance.shift + self.balance.stand).ravel()}, backend
-        )
-        self._asked, self._answer = tuple[float, ...](), list[float]()
         self.reach = float(self.balance.reach.min())
-        self._room = max(MAXIMUM - share, 0.0) * self.reach
+        whole = self.balance.shift + self.balance.stand
+        #: everything by its name in :class:`wbmpc.bases.ball.lean_step.Lean`
+        self.arrays = {
+            "shift": self.balance.shift.ravel(),
+            "whole": whole.ravel(),
+            "heading": np.zeros(BASE),
+            "leans": np.zeros(6),
+        }
+        self._room, self._force = max(MAXIMUM - share, 0.0) * self.reach, np.zeros(BASE)
+        self._lean_offsets = bind(lean_offsets, self.arrays | {"force": self._force}, backend)
         self._ball_speed = slice(ball_base(robot).nq, ball_base(robot).nq + 2)
         self.reset()
 
@@ -92,32 +68,37 @@ class LeanControl:
         )  # of a force that pushes the robot away
         self._largest = 0.0
 
-    def shift(self, force: Array, yaw: float) -> Array:
-        """By how much (2) [m] the divergent component counts like more than it is, along the world's x and y, under the learned
-        generalized ``force`` (nq) [N, N m] at a heading [rad]."""
-        return np.array(self._offsets(force, yaw)[:2])
+    def leans(self, force: Array, yaw: float) -> list[float]:
+        """Under the learned generalized ``force`` (nq) [N, N m] at a heading [rad], [m]: shift (2), by how much the divergent component
+        counts like more than it is, along the world's x and y; what the wheels bear (2), along the heading's."""
+        self._force[:] = force[:BASE]
+        self._lean_offsets(yaw)
+        return self.arrays["leans"][:4].tolist()
 
-    def center(self, force: Array, yaw: float) -> Array:
-        """The same for the limit of the lean: about the lean with which the robot stands still, as far as the reach allows.
+    def center(self, leans: Sequence[float], yaw: float) -> tuple[float, float]:
+        """The shift (2) for the limit of the lean, of ``leans``: about the lean with which the robot stands still, as far as the reach allows.
 
         What the wheels bear there, (shift + stand) d̂, takes from the reach; the limit moves with it up to :data:`MAXIMUM`.
         """
-        x, y, *borne = self._offsets(force, yaw)
-        share = min(1.0, self._room / max(math.hypot(*borne), 1e-12))
-        c, s = cos_sin(yaw)
-        bx, by = share * borne[0], share * borne[1]
-        return np.array([x - (c * bx - s * by), y - (s * bx + c * by)])
+        x, y, bx, by = leans[:4]
+        share, (c, s) = min(1.0, self._room / max(math.hypot(bx, by), 1e-12)), cos_sin(yaw)
+        bx, by = share * bx, share * by
+        return x - (c * bx - s * by), y - (s * bx + c * by)
 
-    def check(self, t: float, force: Array, x: Array) -> None:
+    def check(self, t: float, force: Array, x: Array, leans: Sequence[float] | None = None) -> None:
         """Report once a learned ``force`` (nq) that pushes the robot away for :data:`HELD`, at state x (nx) and time t [s]: one that no
         lean can hold, or a strong one that drives the ball with half of ``speed``. Raises :class:`DisturbanceTooLarge` when it has
-        driven it with all of it for as long. What is left of a push that is over counts as neither.
+        driven it with all of it for as long. What is left of a push that is over counts as neither. ``leans``: under that force, where
+        they are known.
         """
-        borne = math.hypot(*self._offsets(force, float(x[2]))[2:]) / self.reach
+        borne = math.hypot(*(leans or self.leans(force, float(x[2])))[2:4]) / self.reach
+        if borne <= STRONG:
+            self._largest, self._driven_since, self._pushed_since = 0.0, np.inf, np.inf
+            return
         vx, vy = x[self._ball_speed].tolist()
         # a ball that rolls back against the force is not driven by it
-        self._largest = max(self._largest, borne) if borne > STRONG else 0.0
-        lasts = borne > STRONG and borne >= FADED * self._largest
+        self._largest = max(self._largest, borne)
+        lasts = borne >= FADED * self._largest
         driven = math.hypot(vx, vy) / self.speed if lasts and vx * force[0] + vy * force[1] > 0.0 else 0.0
         self._driven_since = min(self._driven_since, t) if driven > 1.0 else np.inf
         self._pushed_since = min(self._pushed_since, t) if lasts and (borne > MAXIMUM or driven > 0.5) else np.inf
@@ -132,12 +113,3 @@ class LeanControl:
             raise DisturbanceTooLarge(
                 f"{what}: the ball goes faster than {self.speed:g} m/s (max_pushed_speed); motors off"
             )
-
-    def _offsets(self, force: Array, yaw: float) -> list[float]:
-        """Shift (2), along the world's axes, what the wheels bear (2), along the heading's, [m] of the reach."""
-        asked = (*force[:BASE].tolist(), yaw)
-        if asked != self._asked:  # several times in a tick of the same
-            self._force[:] = force[:BASE]
-            self._lean_offsets(yaw)
-            self._asked, self._answer = asked, self._out.tolist()
-        return self._answer

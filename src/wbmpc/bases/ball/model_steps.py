@@ -1,152 +1,194 @@
-"""The compiled part of a ball robot's controller that asks the model, in one call for each new state."""
+"""The compiled part of a ball robot's controller: what it makes of a new state and of a policy by its model, in one call each."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc.arrays import Array
-from wbmpc.bases.ball.compilation import MODEL
-from wbmpc.bases.ball.disturbance import Clock, Disturbance, DisturbanceObserver, Gate, Setting, observe
+from wbmpc.bases.ball.disturbance import DisturbanceObserver
+from wbmpc.bases.ball.fall_detection import FallPredictor
+from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
+from wbmpc.bases.ball.model_step import act, foresee, learn, through
 from wbmpc.bases.ball.payload import PayloadEstimator
-from wbmpc.bases.ball.payload_step import Payload, update_mass
+from wbmpc.bases.ball.sent_torques import SentTorques
+from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import UnsupportedOperation
 from wbmpc.kernel.function import CompiledFunction
-from wbmpc.kernel.ir import Floats, Integers, PointerCall
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import Backend, Step, bind
 from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.policy import Policy
 from wbmpc.solver import Solver
-from wbmpc.solver.receding import simulate
-
-call2 = PointerCall(2)
 
 
-class Model(NamedTuple):
-    """The model as a solver integrates it, from a state and the torques that acted there."""
+class Learning(NamedTuple):
+    """What learns with a new state; None for what there is not."""
 
-    memory: Floats  # of the solver, whose integrator and parameters the model has
-    table: Integers
-    state: Floats  # (nx)
-    acted: Floats  # (nu)
-    trial: Floats  # (nx), room for another state
-
-
-class Inertia(NamedTuple):
-    """A function of the coordinates that was compiled by itself."""
-
-    inertia: int  # its address
-    places: Integers  # (2), room for the addresses of its argument and its results
-    inertial: Floats  # (n n + n), its results: the mass matrix, and the weight of 1 kg at the tool
-
-
-@MODEL.step
-def accelerate(model: Model, nx: int, at: int, m: int, acceleration: Floats, h: float) -> None:
-    """Mean ``acceleration`` (m) over h [s] of the state's speeds from ``at`` on."""
-    for i in range(nx):
-        model.trial[i] = model.state[i]
-    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
-    for i in range(m):
-        acceleration[i] = (model.trial[at + i] - model.state[at + i]) / h
-
-
-@MODEL.step
-def learn(
-    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, weighs: bool, started: bool, t: float, h: float
-) -> float:
-    """Disturbance and payload (``weighs``: there is one) after a state at t [s], h [s] after the one before (``started``: there was one);
-    returns how much of a constant disturbance that can have learned."""
-    n = d.size
-    if not started:
-        g.clock[Clock.NEW_UNTIL] = t + g.settings[Setting.LONGEST]
-    for i in range(n):
-        d.velocity[i] = model.state[n + i]
-        if not started:
-            g.speed[i] = model.state[n + i]
-        model.trial[i], model.trial[n + i] = model.state[i], g.speed[i]
-    simulate(model.memory, model.table, model.trial, model.acted, 1, h)
-    by.places[0], by.places[1] = model.state.ctypes.data, by.inertial.ctypes.data
-    call2(by.inertia, by.places.ctypes.data, by.places.ctypes.data + 8)
-    for i in range(n):
-        d.after[i] = model.trial[n + i]
-    for i in range(n * n):
-        d.mass[i] = by.inertial[i]
-    learning = observe(d, g, t, h)
-    if weighs:
-        for i in range(n):
-            p.weight[i] = by.inertial[n * n + i]
-        update_mass(d, p, learning, h)
-    return learning
+    observer: DisturbanceObserver | None = None
+    payload: PayloadEstimator | None = None
+    lean: LeanControl | None = None
+    forecast: FallPredictor | None = None
 
 
 class ModelSteps:
-    """The model of a ``robot`` as a ``solver`` integrates it, for controllers whose model is that alone. ``backend``: machine code, or the
-    same source as ordinary Python.
+    """The model of a ``robot`` as a ``solver`` integrates it, for controllers whose model is that alone: under torques within ``limits``, which
+    drives follow as ``sent`` has it every ``period`` [s]. ``backend``: machine code, or the same source as ordinary Python.
 
-    Its arrays are the solver's, the observer's and the payload's own: it changes them as these do by themselves.
+    Its arrays are the solver's and those of the parts of ``learning``: it changes them as these do by themselves. Nothing is found where
+    something is not finite, or has other sizes: who asks part by part gets the error.
     """
 
     def __init__(
-        self, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None,
+        self, robot: RobotModel, solver: Solver, limits: TorqueLimits, sent: SentTorques, period: float, learning: Learning,
         backend: Backend = "compiled",
     ) -> None:  # fmt: skip
-        nx, nu = solver.problem.nx, solver.problem.nu
-        joints = robot.state["arm_velocity"]
-        m = joints.stop - joints.start
-        self._solver, self._observer = solver, observer
-        self._state, self._acted, self.acceleration = np.zeros(nx), np.zeros(nu), np.zeros(m)
-        own = {
-            "state": self._state, "acted": self._acted, "trial": np.zeros(nx), "acceleration": self.acceleration,
-        } | solver.integrator  # fmt: skip
-        self._accelerate = bind(accelerate, own, backend, nx=nx, at=joints.start, m=m)
-        if observer is not None:
-            n = ball_base(robot).nq
-            weighing = {name: np.zeros(n) for name in ("weight", "model", "believed", "apart")}
-            weighing |= {"load": np.zeros(1), "rule": np.zeros(1)}
-            if payload is not None:
-                weighing |= payload.bound(observer.arrays)
-            inertial = {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)}
-            self._inertia = _inertia(robot)
-            constants = {
-                "size": n,
-                "gates": observer.gate.size,
-                "inertia": self._inertia.address,
-                "weighs": payload is not None,
-            }
-            self._learn = bind(learn, own | observer.arrays | weighing | inertial, backend, **constants)
+        self._solver, self._sent, self._period, self._observer = solver, sent, period, learning.observer
+        n, nx, nu = solver.ocp.intervals, solver.problem.nx, solver.problem.nu
+        self._plan = np.zeros(n + 1), np.zeros((n + 1, nx)), np.zeros((n, nu)), np.zeros((n, nu, nx))
+        self._policy: Policy | None = None  # whose plan that is
+        a = dict(zip(("times", "states", "inputs", "gains"), (each.reshape(-1) for each in self._plan), strict=True))
+        a |= {name: np.zeros(size) for name, size in {"state": nx, "acted": nu, "trial": nx, "feedforward": nu}.items()}
+        a |= solver.integrator | limits.arrays | {name: np.zeros(1) for name in ("limits", "active", "moving")}
+        a["rows"] = sent.rows.reshape(-1)
+        self._arrays, self._next, sizes = a, np.zeros(2 * nu), {"nx": nx, "nu": nu}
+        law = {**sizes, "r": 0, "moves": 0, "blend": sent.blend, **limits.constants}
+        self._through = bind(through, a, backend, **sizes)
+        self._act = bind(act, a, backend, **law)
+        self._foresee = bind(foresee, a | {"rows": self._next}, backend, **law)
+        if learning.observer is not None:
+            self._learn = self._bind_learning(robot, learning.observer, *learning[1:], backend=backend)
+
+    def _bind_learning(
+        self, robot: RobotModel, observer: DisturbanceObserver, payload: PayloadEstimator | None, lean: LeanControl | None,
+        forecast: FallPredictor | None, backend: Backend,
+    ) -> Step:  # fmt: skip
+        n = observer.size
+        names = ("weight", "model", "believed", "apart", "load", "rule", "shift", "whole", "heading", "leans")
+        a: dict[str, NDArray[Any]] = {name: np.zeros(max(n, 6)) for name in names} | observer.arrays
+        a |= {"inertial": np.zeros(n * n + n), "given": np.zeros(2 * n + 3), "found": np.zeros(2)}
+        a["places"] = np.zeros(2, np.int64)
+        if payload is not None:
+            a |= payload.bound(observer.arrays)
+        if lean is not None:
+            a |= lean.arrays
+        self._leans = a["leans"][: 4 if forecast is None else 6]
+        self._inertia = _inertia(robot)
+        constants = {
+            "nu": self._next.size // 2,
+            "size": n,
+            "gates": observer.gate.size,
+            "inertia": self._inertia.address,
+        }
+        constants |= {"weighs": payload is not None, "has_lean": lean is not None}
+        constants["component"] = 0 if forecast is None else forecast.component.address
+        places = _places(self._solver)
+        self._push, self._lean = places.pop("push"), lean
+        return bind(learn, self._arrays | a, backend, **constants, **places)
 
     @classmethod
     def of(
-        cls, robot: RobotModel, solver: Solver, observer: DisturbanceObserver | None, payload: PayloadEstimator | None
+        cls,
+        robot: RobotModel,
+        solver: object,
+        limits: TorqueLimits,
+        sent: SentTorques,
+        period: float,
+        learning: Learning,
     ) -> ModelSteps | None:
         """None where the solver is interpreted, has other states and inputs than the robot, or the model cannot be compiled."""
         if not isinstance(solver, Solver) or solver.settings.backend == "interpreted":
             return None
-        if solver.problem.nx != robot.state.size or robot.state.size != 2 * ball_base(robot).nq:
+        size = 2 * ball_base(robot).nq
+        if (solver.problem.nx, robot.state.size, solver.problem.nu) != (size, size, limits.limit.size):
             return None
         try:
-            return cls(robot, solver, observer, payload)
+            return cls(robot, solver, limits, sent, period, learning)
         except UnsupportedOperation:
             return None
 
-    def accelerations(self, x: Array, u: Array, h: float) -> Array:
-        """Of the arm (m) [rad/s²] in the state x (nx) under the torques u (nu), mean over h [s]; a view that the next call changes."""
-        self._state[:], self._acted[:] = x, u
-        with self._solver.exclusive:
-            self._accelerate(h)
-        return self.acceleration
-
-    def learn(self, t: float, x: Array, u: Array, h: float) -> None:
-        """As :meth:`DisturbanceObserver.update` and :meth:`PayloadEstimator.observe` after it."""
-        observer = self._observer
+    def learn(
+        self, t: float, x: Array, row: int, h: float, forwards: bool = False, pushed: Sequence[float] = (0.0, 0.0)
+    ) -> tuple[list[float], bool]:
+        """As :meth:`DisturbanceObserver.update` under the torques in a ``row`` of those that were sent, :meth:`PayloadEstimator.observe`
+        after it, and :meth:`LeanControl.leans`, which it returns; with a forecast, the divergent component (2) [m] that counts after it.
+        And whether the solver has got all of it as its model's parameters, with the room (2) [m] for what has ``pushed`` the robot: it
+        does if this ``forwards`` it, and all is finite."""
+        observer, m = self._observer, self._arrays["memory"]
         assert observer is not None
-        self._state[:], self._acted[:] = x, u
+        self._arrays["state"][:] = x
         with self._solver.exclusive:
-            observer.learning = self._learn(observer.started, t, h)
+            observer.learning, finite = self._learn(row, observer.started, t, h, forwards)
+            leans, forwarded = self._leans.tolist(), finite and forwards
+            if forwarded and self._push >= 0:
+                right, left = (0.0, 0.0) if self._lean is None else self._lean.center(leans, float(x[2]))
+                m[self._push], m[self._push + 1] = pushed[0] + right, pushed[1] + left
         observer.started = True
+        return leans, forwarded
+
+    def _take(self, policy: Policy) -> bool:
+        """Whether the plan of a ``policy`` is one that fits: it is here then."""
+        n, (times, states, inputs, gains) = len(policy.u), self._plan
+        own, given = (
+            (times[: n + 1], states[: n + 1], inputs[:n], gains[:n]),
+            (policy.times, policy.x, policy.u, policy.gain),
+        )
+        for mine, its in zip(own, given, strict=True):
+            if mine.shape != its.shape or not n:
+                return False
+        for mine, its in zip(own, given, strict=True):
+            mine[:] = its
+        self._policy = policy
+        return True
+
+    def through(self, x: Array, rows: slice) -> Array | None:
+        """The state (nx) after ``x`` under these rows of the torques that were sent, each for a period."""
+        a = self._arrays
+        if x.shape != a["state"].shape:
+            return None
+        a["state"][:] = x
+        with self._solver.exclusive:
+            known = self._through(rows.start, rows.stop - rows.start, self._period)
+        return a["trial"].copy() if known else None
+
+    def act(self, policy: Policy, t: float, x: Array, late: int) -> tuple[Array, Array, Array] | None:
+        """Torques (nu) [N m] of a ``policy`` at time t [s], when they act, for a state x (nx) that is so many ticks ``late``, without and
+        with feedback, and within limits, which go to the drives."""
+        a, sent = self._arrays, self._sent
+        if (policy is not self._policy and not self._take(policy)) or x.shape != a["state"].shape:
+            return None
+        a["state"][:] = x
+        row, count = sent.begin(), late + sent.dead
+        with self._solver.exclusive:
+            known = self._act(len(policy.u), row - count, count, row, t, self._period)
+        if not known:
+            return None
+        sent.end()
+        return a["feedforward"].copy(), a["torque"].copy(), a["out"].copy()
+
+    def foresee(self, policy: Policy, t: float, x: Array, torque: Array) -> tuple[Array, Array] | None:
+        """State (nx) and torques (nu) of the drives a period after these under a ``policy`` at time t [s]."""
+        trial, nu = self._arrays["trial"], torque.size
+        if policy is not self._policy and not self._take(policy):
+            return None
+        trial[:], self._next[:nu] = x, torque
+        with self._solver.exclusive:
+            known = self._foresee(len(policy.u), t, self._period)
+        return (trial.copy(), self._next[:nu].copy()) if known else None
+
+
+def _places(solver: Solver) -> dict[str, int]:
+    """:class:`~wbmpc.bases.ball.model_step.Parameters` of a ``solver``, and where its ``push`` is."""
+    groups, part = solver.ocp.dynamics.parameters, solver.problem.constant.slices["parameters"]
+    first = (solver.constants.ctypes.data - solver.integrator["memory"].ctypes.data) // 8 + part.start
+    learned = ("disturbance", "push", "payload")
+    at = {name: first + groups[name].start if name in groups else -1 for name in learned}
+    return {"first": first, "end": first + groups.size, **at}
 
 
 def _inertia(robot: RobotModel) -> CompiledFunction:

@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.ball.payload_step import AFTER, CALM, Load, Rule, change, learn, update_mass
+from wbmpc.bases.ball.payload_step import AFTER, CALM, Load, Rule, learn, update_mass
 from wbmpc.checks import finite, not_negative, numbers, positive
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import Backend, Step, bind
@@ -71,17 +71,11 @@ class PayloadEstimator:
         self._steps["learn"](h)
         return a["force"].copy()
 
-    def change(self, by: float, known: float, weight: Array, force: Array) -> Array:
-        """Change the mass ``by`` [kg]; the disturbance ``force`` (nq), which had the ``known`` share of it, without that."""
-        a = self._load(weight, force)
-        self._steps["change"](by, known)
-        return a["force"].copy()
-
     def _load(self, weight: Array, force: Array) -> dict[str, Array]:
         a, n = self._arrays, weight.size
         if "force" not in a or a["force"].size != n:
             a["weight"], a["force"] = np.zeros(n), np.zeros(n)
-            self._steps |= {f.python.__name__: bind(f, a, self._backend, n=n) for f in (learn, change)}
+            self._steps["learn"] = bind(learn, a, self._backend, n=n)
         a["weight"][:], a["force"][:] = weight, force
         return a
 

@@ -75,7 +75,7 @@ def arm_observes_mass(n: int, weight: Floats, rule: Floats) -> bool:
     return own >= max(0.5 * whole, 1.0 / rule[Rule.SURE] ** 2)
 
 
-@step
+@compiled
 def change(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, by: float, known: float) -> None:
     """The mass changes ``by`` [kg], of which the ``force`` had the ``known`` share."""
     previous = load[Load.MASS]

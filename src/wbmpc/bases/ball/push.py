@@ -100,8 +100,8 @@ class PushEstimator:
         self._previous = x.copy(), u.copy()
 
     @property
-    def room(self) -> Array:
+    def room(self) -> tuple[float, float]:
         """(2) [m], along the world's x and y."""
         x, y = self._arrays["drift"].tolist()
         share = max(0.0, 1.0 - DEAD / max(math.hypot(x, y), 1e-12)) * self.expected_push_time
-        return np.array([share * x, share * y])
+        return share * x, share * y

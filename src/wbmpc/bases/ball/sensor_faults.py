@@ -8,75 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.ball.compilation import compiled, step
+from wbmpc.bases.ball.monitor_step import Encoders, watch
 from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.checks import not_negative, positive
-from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import Backend, bind, zeros
-
-
-@compiled
-def deadband(value: float, doubt: float) -> float:
-    """What of a value is beyond ± ``doubt``."""
-    return max(value - doubt, 0.0) - max(-value - doubt, 0.0)
-
-
-class Encoders(NamedTuple):
-    """Joints (n), their encoders, and what a monitor remembers of them."""
-
-    n: int
-    arm: Floats  # (n) [rad], readings
-    surprised: Floats  # (n), 1 for readings that are far from the expected ones
-    speed: Floats  # (n) [rad/s], of the joints by their tracker
-    acceleration: Floats  # (n) [rad/s²], by the model
-    anchor: Floats  # (n) [rad], where an encoder stands
-    believed: Floats  # (n) [rad/s], by how much the joint must be faster than at the anchor
-    gone: Floats  # (n) [rad], how far it must have moved
-    then: Floats  # (n) [rad/s²], acceleration at the anchor
-    stood: Floats  # (n) [s]
-    low: Floats  # (n) [rad], readings beyond which a joint rests at a stop
-    high: Floats
-    standing: Floats  # (n), 1 for encoders that should have moved
-    still: float  # [rad], motion that is none
-    expected: float  # [rad], motion that must be seen
-    crawl: float  # [rad/s], speed that is none
-    doubt: float  # [rad/s²], of the accelerations
-    min_standstill: float  # [s]
-
-
-@step
-def has_jumped(e: Encoders) -> bool:
-    """Whether a reading came as a surprise and moved. (One that did not move is what is looked for.)"""
-    found = False
-    for i in range(e.n):
-        if e.surprised[i] > 0.0 and abs(e.arm[i] - e.anchor[i]) > e.still:
-            found = True
-    return found
-
-
-@step
-def detect_frozen(e: Encoders, h: float, doubted: bool) -> int:
-    """How many encoders, marked in ``standing`` (n), have not moved though they should have; counted again while that is ``doubted``."""
-    count = 0
-    for i in range(e.n):
-        stands = abs(e.arm[i] - e.anchor[i]) <= e.still and e.arm[i] >= e.low[i] and e.arm[i] <= e.high[i]
-        if stands and not doubted:
-            e.believed[i] += h * deadband(e.acceleration[i] - e.then[i], e.doubt)
-            e.gone[i] += h * e.believed[i]
-            e.stood[i] += h
-        else:  # at the first reading too
-            e.anchor[i], e.believed[i], e.then[i] = e.arm[i], deadband(e.speed[i], e.crawl), e.acceleration[i]
-            e.gone[i], e.stood[i] = 0.0, 0.0
-        e.standing[i] = 1.0 if abs(e.gone[i]) > e.expected and e.stood[i] >= e.min_standstill - 1e-9 else 0.0
-        if e.standing[i] > 0.0:
-            count += 1
-    return count
-
 
 #: With fewer wheel encoders than this the ball's place is not known any more: the inertial unit alone drifts.
 MIN_WHEELS = 2
@@ -161,8 +100,7 @@ class EncoderMonitor:
             "doubt": doubt,
             "min_standstill": min_standstill,
         }
-        self._has_jumped = bind(has_jumped, a, backend, n=n, **constants)
-        self._detect_frozen = bind(detect_frozen, a, backend, n=n, **constants)
+        self._watch = bind(watch, a, backend, n=n, **constants)
         self._most = min_standstill / IN_A_ROW if min_standstill > 0.0 else np.inf
         self._durations: dict[str, float] = {}
         self._contact = contact
@@ -176,11 +114,12 @@ class EncoderMonitor:
         as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n; 1 or 0)
         whose reading ``surprised`` it; the robot's ``state`` (nx), which a contact with itself is asked of."""
         a = self._arrays
-        a["arm"][:] = arm
-        doubted, standing = self._in_doubt(t, surprised), 0
+        a["arm"][:], a["surprised"][:] = arm, 0.0 if surprised is None else surprised
         if acceleration is not None:
             a["speed"][:], a["acceleration"][:] = speed, acceleration
-            standing = self._detect_frozen(min(interval, self._most), doubted)
+        surprise, standing = self._watch(min(interval, self._most), t < self._doubted_until, acceleration is not None)
+        if surprise:  # speeds, and what the model makes of them, are not to be believed
+            self._doubted_until = t + DOUBTED
         if not (standing or estimator_faults or self._durations):
             return []
         stalled = self._stalled(t, state) if standing else []
@@ -200,14 +139,6 @@ class EncoderMonitor:
         if len(free) < len(standing):
             self._doubted_until = t + DOUBTED
         return free
-
-    def _in_doubt(self, t: float, surprised: Array | None) -> bool:
-        """Whether speeds, and what the model makes of them, are to be believed: not just after a surprise."""
-        if surprised is not None:
-            self._arrays["surprised"][:] = surprised
-            if self._has_jumped():
-                self._doubted_until = t + DOUBTED
-        return t < self._doubted_until
 
     def _lasting(self, h: float, estimator_faults: Sequence[str]) -> list[str]:
         """What the estimator says and, of wheels and ball, has said most of the time."""

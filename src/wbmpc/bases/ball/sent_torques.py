@@ -43,8 +43,9 @@ class SentTorques:
         if settings.dead_time > MAX_DEAD_TIME:
             raise InputError(f"actuator_dead_time: must be at most {MAX_DEAD_TIME:g} s, got {settings.dead_time:g} s")
         self._known = max(_TICKS, math.ceil(_MEMORY / period)) + self.dead
+        self._oldest = self._known - 1 - self.dead
         # twice as many rows as are known: they move to the front when the last one is taken
-        self._rows = np.tile(np.asarray(torque, float), (2 * self._known, 1))
+        self.rows = np.tile(np.asarray(torque, float), (2 * self._known, 1))
         self._end = self._known
         #: how many commands have gone to the drives
         self.count = 0
@@ -52,31 +53,43 @@ class SentTorques:
     @property
     def last(self) -> Array:
         """What the drives make of the last command, as soon as the dead time is over."""
-        return self._rows[self._end - 1].copy()
+        return self.rows[self._end - 1].copy()
 
     def follow(self, torque: Array, last: Array | None = None) -> Array:
         """What drives at ``last`` (left out: as they are) make of a command within a period."""
-        last = self._rows[self._end - 1] if last is None else last
+        last = self.rows[self._end - 1] if last is None else last
         return last + self.blend * (torque - last)
 
     def send(self, torque: Array) -> None:
         """A command goes to the drives."""
-        if self._end == len(self._rows):
-            self._rows[: self._known] = self._rows[self._known :]
+        self.rows[self.begin()] = self.follow(torque)
+        self.end()
+
+    def begin(self) -> int:
+        """The row of ``rows`` for what drives make of the next command; :meth:`end` when it is there."""
+        if self._end == len(self.rows):
+            self.rows[: self._known] = self.rows[self._known :]
             self._end = self._known
-        self._rows[self._end] = self.follow(torque)
+        return self._end
+
+    def end(self) -> None:
+        """See :meth:`begin`."""
         self._end += 1
         self.count += 1
 
     def ticks(self, age: float) -> int:
         """``age`` [s] in ticks; what is older than all torques that are known counts as from the first."""
-        return min(round(age / self._period), self._known - 1 - self.dead)
+        return min(round(age / self._period), self._oldest)
+
+    def at(self, ticks: int) -> int:
+        """The row of what acted so many ticks ago."""
+        return self._end - 1 - ticks - self.dead
 
     def acted(self, ticks: int) -> Array:
         """What acted so many ticks ago."""
-        return self._rows[self._end - 1 - ticks - self.dead].copy()
+        return self.rows[self.at(ticks)].copy()
 
-    def since(self, ticks: int, dead: int | None = None) -> Array:
-        """What has acted (``ticks``, n + m) in the ticks since then; with 0 for ``dead``, what will have acted a dead time from now."""
+    def since(self, ticks: int, dead: int | None = None) -> slice:
+        """Rows of what has acted (``ticks``, n + m) in the ticks since then; with 0 for ``dead``, what will have acted a dead time from now."""
         end = self._end - (self.dead if dead is None else dead)
-        return self._rows[end - ticks : end].copy()
+        return slice(end - ticks, end)
