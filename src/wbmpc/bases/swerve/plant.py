@@ -21,15 +21,14 @@ from wbmpc.bases.swerve.slip_step import contact_slips
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.kernel.step import bind
-from wbmpc.robots import RobotDescription, load_spec
-from wbmpc.robots.checks import named
+from wbmpc.robots import RobotDescription
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation, clipped
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_slide
-from wbmpc.simulation.world import TIMESTEP, Array, Edit, World, add_drive
+from wbmpc.simulation.world import TIMESTEP, Array, Edit, add_drive
 from wbmpc.types import Truth
 
 #: Torque limits [N m] of wheel and steer drives whose effort the robot's file leaves out (Pankert et al., RA-L 2022, and its release).
@@ -94,7 +93,6 @@ class SwervePlant(WheeledPlant):
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localization = SwervePerturbation.of(perturbation, description), localization
         self._reject_brake_fault()
-        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
             "leg": [m.leg for m in modules if m.leg],
@@ -102,14 +100,7 @@ class SwervePlant(WheeledPlant):
             "wheel": [m.wheel for m in modules],
             "arm": arm,
         }
-        spec = load_spec(description, meshes=True)
-        bodies = [b.name for b in spec.bodies if b.name != "world"]
-        self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
-        with named(description.model):
-            self._build(spec, edit)
-        self.world = World(spec, description, [n for g in self._names.values() for n in g], self._rated())
-        self.model, self.data = self.world.model, self.world.data
-        self.index()
+        self.make_world(seed, len(modules), edit, self._rated())
         holds = [BRAKE_FORCE if m.slide else BRAKE_TORQUE for m in modules if m.leg]
         self.brakes = Brakes(len(holds), self.perturbation.brake_delay, np.array(holds))
         self._held: Array | None = None  # what brakes hold, as the model has it
@@ -125,7 +116,7 @@ class SwervePlant(WheeledPlant):
             )
 
     # ------------------------------------------------------------------ building
-    def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
+    def build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         draw, friction = self.draw, self.stand_on_floor(spec)
         for i, module in enumerate(self.base.modules):
             radius = self.base.wheel_radius * float(draw.radius[i])
