@@ -212,12 +212,8 @@ def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> li
     """One problem by all full solvers: milliseconds to the common residual and per iteration, largest difference from ours."""
     t = problem.solver.problem
     size = {
-        "nx": t.nx,
-        "nu": t.nu,
-        "rows": t.equality.shape[0],
-        "limits": len(t.path.rows),
-        "intervals": t.ocp.intervals,
-    }
+        "nx": t.nx, "nu": t.nu, "rows": t.equality.shape[0], "limits": len(t.path.rows), "intervals": t.ocp.intervals,
+    }  # fmt: skip
     common = {"problem": problem.name, **size}
     x, u, figures = ours(problem, repeat)
     rows = [{**common, "solver": "wbmpc SQP", **figures, "difference": 0.0}]

@@ -39,16 +39,9 @@ class Session(Protocol):
 
 
 def execute(
-    session: Session,
-    name: str,
-    seed: int,
-    assignments: list[str],
-    out: Path | None,
-    show: bool,
-    view: View | None = None,
-    record_limit: str = RECORD_LIMIT,
-    config: Path | None = None,
-) -> tuple[RunResult, dict[str, str]]:
+    session: Session, name: str, seed: int, assignments: list[str], out: Path | None, show: bool,
+    view: View | None = None, record_limit: str = RECORD_LIMIT, config: Path | None = None,
+) -> tuple[RunResult, dict[str, str]]:  # fmt: skip
     """A run and its files. Restarted in the view, it is another run with files of its own; the last one is returned."""
     from wbmpc.configuration import configure
 
@@ -78,16 +71,9 @@ def execute(
 
 
 def _attempt(
-    name: str,
-    experiment: Experiment,
-    settings: BaseModel,
-    seed: int,
-    out: Path | None,
-    show: bool,
-    view: View | None,
-    limit: int,
-    command: str,
-) -> tuple[RunResult, dict[str, str]]:
+    name: str, experiment: Experiment, settings: BaseModel, seed: int, out: Path | None, show: bool, view: View | None,
+    limit: int, command: str,
+) -> tuple[RunResult, dict[str, str]]:  # fmt: skip
     from wbmpc.recording.recorder import Recorder
     from wbmpc.report import RECORDING, about_run, outcome, write_run
     from wbmpc.result import RunResult

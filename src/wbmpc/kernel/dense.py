@@ -91,14 +91,9 @@ def matrix_product(
 
 
 def _tile(
-    p: str,
-    rows: range,
-    columns: range,
-    j: int,
-    inner: int,
-    strides: tuple[int, int, int, int, int | None],
+    p: str, rows: range, columns: range, j: int, inner: int, strides: tuple[int, int, int, int, int | None],
     negative: bool,
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """One tile of a product: all of its sums stay in registers."""
     lda, bj, bk, ldc, ldi = strides
     cells = [(q, i) for q in columns for i in rows]

@@ -31,14 +31,9 @@ _COSINE = (
     2.08757232129817482790e-09, -1.13596475577881948265e-11,
 )  # fmt: skip
 _NATIVE = {
-    "llvm.sqrt.f64": "sqrt",
-    "llvm.fabs.f64": "fabs",
-    "llvm.floor.f64": "floor",
-    "llvm.ceil.f64": "ceil",
-    "llvm.copysign.f64": "copysign",
-    "fmin": "minnum",
-    "fmax": "maxnum",
-}
+    "llvm.sqrt.f64": "sqrt", "llvm.fabs.f64": "fabs", "llvm.floor.f64": "floor", "llvm.ceil.f64": "ceil",
+    "llvm.copysign.f64": "copysign", "fmin": "minnum", "fmax": "maxnum",
+}  # fmt: skip
 
 
 def _splat(value: float) -> str:

@@ -54,16 +54,9 @@ class MPC(Described):
     """
 
     def __init__(
-        self,
-        ocp: OptimalControlProblem,
-        solver: SQP | None = None,
-        rate: float = 50.0,
-        *,
-        first_iterations: int = 30,
-        guess: Guess | None = None,
-        plan_only_limits: bool = False,
-        obstacles: Obstacles | None = None,
-    ) -> None:
+        self, ocp: OptimalControlProblem, solver: SQP | None = None, rate: float = 50.0, *, first_iterations: int = 30,
+        guess: Guess | None = None, plan_only_limits: bool = False, obstacles: Obstacles | None = None,
+    ) -> None:  # fmt: skip
         if real_number("mpc.rate", rate) <= 0.0:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
         if (

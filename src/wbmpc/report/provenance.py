@@ -17,12 +17,9 @@ PACKAGE = Path(__file__).parents[1]
 def versions() -> dict[str, str]:
     """What ran: versions of this library and of what it stands on, and the processor."""
     out = {
-        "wbmpc": __version__,
-        "commit": commit(),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
+        "wbmpc": __version__, "commit": commit(), "python": platform.python_version(), "machine": platform.machine(),
         "cpu": _processor(),
-    }
+    }  # fmt: skip
     for name in ("casadi", "mujoco", "llvmlite", "numpy", "scipy"):
         try:
             out[name] = version(name)

@@ -76,11 +76,8 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     twist = np.array([h.twist] * 3 + [h.angular] * 3)
     speeds = [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
     body: dict[str, Any] = {
-        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
-        "base_velocity": speeds,
-        "arm": b.arm,
-        "arm_velocity": b.arm_rate,
-    }
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "base_velocity": speeds, "arm": b.arm, "arm_velocity": b.arm_rate,
+    }  # fmt: skip
     end: dict[str, Any] = {
         g: [cost.terminal * w for w in v] if isinstance(v, list) else cost.terminal * v for g, v in body.items()
     }

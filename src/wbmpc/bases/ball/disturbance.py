@@ -171,15 +171,9 @@ class DisturbanceObserver:
             )
         n, gates = self.size, self.gate.size
         sizes = {
-            "velocity": n,
-            "speed": n,
-            "after": n,
-            "mass": n * n,
-            "force": n,
-            "felt": gates,
-            "mean": gates,
+            "velocity": n, "speed": n, "after": n, "mass": n * n, "force": n, "felt": gates, "mean": gates,
             "innovation": n,
-        }
+        }  # fmt: skip
         self._arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
             "gate": np.array(self.gate, float), "clock": np.array([-np.inf, -np.inf, np.inf, -np.inf]),
             "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),

@@ -93,13 +93,9 @@ class FallPredictor:
         return []
 
     def update(
-        self,
-        t: float,
-        x: np.ndarray,
-        payload: float = 0.0,
-        force: ArrayLike = (0.0, 0.0),
+        self, t: float, x: np.ndarray, payload: float = 0.0, force: ArrayLike = (0.0, 0.0),
         shift: ArrayLike = (0.0, 0.0),
-    ) -> list[Fall]:
+    ) -> list[Fall]:  # fmt: skip
         """What follows from the state x (nx) that was measured at time t [s], with a horizontal ``force`` (2) [N] on the end effector and a
         ``shift`` (2) [m] of the divergent component."""
         maximum = self._component_of(x, payload, force, *np.asarray(shift, float).tolist())

@@ -69,11 +69,8 @@ class LeanControl:
         self.balance, self.speed = Balance.of(robot, arm), speed
         self._force, self._out = np.zeros(BASE), np.zeros(4)
         arrays = {
-            "force": self._force,
-            "out": self._out,
-            "heading": np.zeros(BASE),
-            "shift": self.balance.shift.ravel(),
-        }
+            "force": self._force, "out": self._out, "heading": np.zeros(BASE), "shift": self.balance.shift.ravel(),
+        }  # fmt: skip
         self._lean_offsets = bind(
             lean_offsets, arrays | {"whole": (self.balance.shift + self.balance.stand).ravel()}, backend
         )

@@ -111,11 +111,8 @@ class ModelSteps:
             inertial = {"inertial": np.zeros(n * n + n), "places": np.zeros(2, np.int64)}
             self._inertia = _inertia(robot)
             constants = {
-                "size": n,
-                "gates": observer.gate.size,
-                "inertia": self._inertia.address,
-                "weighs": payload is not None,
-            }
+                "size": n, "gates": observer.gate.size, "inertia": self._inertia.address, "weighs": payload is not None,
+            }  # fmt: skip
             self._learn = bind(learn, own | observer.arrays | weighing | inertial, backend, **constants)
 
     @classmethod

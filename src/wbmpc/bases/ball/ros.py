@@ -254,14 +254,9 @@ class BallRosAdapter(BaseAdapter):
         s = self.settings
         estimator = BallEstimator(self.robot, x, BallNoise(start=max(self._spread, BallNoise().start)))
         controller = BusBallController(
-            self.robot,
-            self._model,
-            self._torque,
-            self.period,
-            DriveSettings(s.actuator_time_constant),
-            s.estimate_disturbance,
-            estimator,
-        )
+            self.robot, self._model, self._torque, self.period, DriveSettings(s.actuator_time_constant),
+            s.estimate_disturbance, estimator,
+        )  # fmt: skip
         controller.fix, controller.answer, controller.shoves = self.fix, self._answer, self._push
         controller.lean_control = self._lean_control
         if self._push is not None:

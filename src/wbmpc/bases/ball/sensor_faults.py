@@ -155,12 +155,8 @@ class EncoderMonitor:
         a = self._arrays = zeros(Encoders, n)
         a["low"][:], a["high"][:], a["anchor"][:] = low + NEAR, high - NEAR, np.nan
         constants = {
-            "still": still,
-            "expected": expected,
-            "crawl": crawl,
-            "doubt": doubt,
-            "min_standstill": min_standstill,
-        }
+            "still": still, "expected": expected, "crawl": crawl, "doubt": doubt, "min_standstill": min_standstill,
+        }  # fmt: skip
         self._has_jumped = bind(has_jumped, a, backend, n=n, **constants)
         self._detect_frozen = bind(detect_frozen, a, backend, n=n, **constants)
         self._most = min_standstill / IN_A_ROW if min_standstill > 0.0 else np.inf

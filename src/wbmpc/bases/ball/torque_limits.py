@@ -17,19 +17,9 @@ MIN_TURN = 1e-9
 
 @step
 def limit_torques(
-    n: int,
-    size: int,
-    torque: Floats,
-    out: Floats,
-    lean: Floats,
-    effect: Floats,
-    causes: Floats,
-    turn: Floats,
-    limit: Floats,
-    at: Floats,
-    room: Floats,
-    largest: float,
-) -> None:
+    n: int, size: int, torque: Floats, out: Floats, lean: Floats, effect: Floats, causes: Floats, turn: Floats,
+    limit: Floats, at: Floats, room: Floats, largest: float,
+) -> None:  # fmt: skip
     """``torque`` (size) [N m] of n wheels and joints within ``limit`` (size), into ``out``; at most ``largest`` of spin, which is what
     the wheels' ``effect`` (3, n) on the ball has about the vertical of a base with this ``lean`` (2) [rad], pitch and roll. ``turn`` (n):
     what ``causes`` (n, 3) one of spin and nothing else. Spins that wheel i can have beside c times what leans are -c at_i ± room_i; so is

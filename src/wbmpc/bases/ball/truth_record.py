@@ -105,13 +105,9 @@ class TruthRecord:
     machine code, or the same source as ordinary Python."""
 
     def __init__(
-        self,
-        log: Log,
-        plant: BallPlant,
-        others: Mapping[str, int | None],
-        estimator: bool,
+        self, log: Log, plant: BallPlant, others: Mapping[str, int | None], estimator: bool,
         backend: Backend = "compiled",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._plant, nx = plant, 10 + 2 * len(plant.description.arm.joints)
         widths: dict[str, int | None] = {"state": nx, "hand": 3, "hand_quaternion": 4, "tilt": None}
         if estimator:

@@ -23,14 +23,9 @@ class FixedPlant(ArmPlant):
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
+        self, robot: RobotModel, perturbation: Perturbation | None = None, seed: int = 0, timestep: float = TIMESTEP, *,
         edit: Edit | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         description = self.description = robot.description
         self.timestep, self.perturbation = timestep, ArmPerturbation.of(perturbation, description)
         names = list(description.arm.joints)

@@ -29,16 +29,9 @@ class PlanarPlant(WheeledPlant):
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        state: Array | None = None,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
-        edit: Edit | None = None,
-        settle: float = 0.5,
-    ) -> None:
+        self, robot: RobotModel, state: Array | None = None, perturbation: Perturbation | None = None, seed: int = 0,
+        timestep: float = TIMESTEP, *, edit: Edit | None = None, settle: float = 0.5,
+    ) -> None:  # fmt: skip
         self.robot, description = robot, robot.description
         self.description = description
         assert isinstance(description.base, PlanarBaseDescription) and isinstance(robot.base, PlanarBase)

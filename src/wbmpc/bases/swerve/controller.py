@@ -38,16 +38,10 @@ class SwerveController:
     Estimator: ClassVar[type[SwerveEstimator]] = SwerveEstimator
 
     def __init__(
-        self,
-        robot: RobotModel,
-        pose: Array,
-        period: float,
-        brakes: BrakeControl | Brakes | None = None,
-        *,
-        tracking: TrackingSettings | None = None,
-        estimation: EstimatorSettings | None = None,
+        self, robot: RobotModel, pose: Array, period: float, brakes: BrakeControl | Brakes | None = None, *,
+        tracking: TrackingSettings | None = None, estimation: EstimatorSettings | None = None,
         supervision: SupervisionSettings | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         positive("swerve robot's controller", period=period)
         self.robot, self.period = robot, period
         estimation = estimation or EstimatorSettings()

@@ -55,16 +55,10 @@ class FusedOdometry:
     """
 
     def __init__(
-        self,
-        geometry: ModuleGeometry,
-        pose0: ArrayLike = (0.0, 0.0, 0.0),
-        *,
-        calibration: WheelCalibration | None = None,
-        noise: OdometryNoise | None = None,
-        pose_std: ArrayLike = (0.0, 0.0, 0.0),
-        history: float = 0.5,
-        backend: Backend = "compiled",
-    ) -> None:
+        self, geometry: ModuleGeometry, pose0: ArrayLike = (0.0, 0.0, 0.0), *,
+        calibration: WheelCalibration | None = None, noise: OdometryNoise | None = None,
+        pose_std: ArrayLike = (0.0, 0.0, 0.0), history: float = 0.5, backend: Backend = "compiled",
+    ) -> None:  # fmt: skip
         n = self._n = geometry.modules
         self.geometry, self.noise = geometry, noise or OdometryNoise()
         self._prior = calibration or WheelCalibration.unknown(geometry)
@@ -189,15 +183,9 @@ class FusedOdometry:
 
     # ------------------------------------------------------------------ wheels and gyro
     def update(
-        self,
-        t: float,
-        leg: ArrayLike,
-        steer: ArrayLike,
-        wheel: ArrayLike,
-        gyro: float | None = None,
-        brake: ArrayLike | None = None,
-        weights: ArrayLike | None = None,
-    ) -> Array:
+        self, t: float, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike, gyro: float | None = None,
+        brake: ArrayLike | None = None, weights: ArrayLike | None = None,
+    ) -> Array:  # fmt: skip
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
         message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong);
         ``weights`` (n): little for wheels that are known to slip, of two or more above 0.
@@ -210,14 +198,9 @@ class FusedOdometry:
         return self.advance(t, self._reader.checked(leg, steer, wheel), gyro, brake, weights)
 
     def advance(
-        self,
-        t: float,
-        sample: Sample,
-        gyro: float | None = None,
-        brake: ArrayLike | None = None,
-        weights: ArrayLike | None = None,
-        velocity: Array | None = None,
-    ) -> Array:
+        self, t: float, sample: Sample, gyro: float | None = None, brake: ArrayLike | None = None,
+        weights: ArrayLike | None = None, velocity: Array | None = None,
+    ) -> Array:  # fmt: skip
         """As :meth:`update`, after true positions that :class:`WheelOdometry` with the same zeros has checked. ``velocity`` (2) [m/s]: of
         the base's origin in its axes, by an inertial unit; it counts like a part of a wheel (:data:`INERTIAL_WEIGHT`)."""
         arrays, time = self._memory.arrays, self.time

@@ -75,18 +75,10 @@ class SwervePlant(WheeledPlant):
     perturbation: SwervePerturbation
 
     def __init__(
-        self,
-        description: RobotDescription,
-        state: Mapping[str, ArrayLike] | ArrayLike | None = None,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
-        edit: Edit | None = None,
-        lift: float = 0.0,
-        settle: float = 0.5,
-        localization: Localization | None = None,
-    ) -> None:
+        self, description: RobotDescription, state: Mapping[str, ArrayLike] | ArrayLike | None = None,
+        perturbation: Perturbation | None = None, seed: int = 0, timestep: float = TIMESTEP, *,
+        edit: Edit | None = None, lift: float = 0.0, settle: float = 0.5, localization: Localization | None = None,
+    ) -> None:  # fmt: skip
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         reject_two_wheels(description)
@@ -293,15 +285,10 @@ class SwervePlant(WheeledPlant):
         pose = frames["pose"] if self.base.orientation == "yaw" else self.world.base_pose().copy()
         along = self._slip()
         return Truth(
-            time=self.time,
-            **frames,
-            tilt=self.world.tilt,
-            state=np.concatenate([pose, d.qpos[self._all]]),
-            joints=self.world.joints(),
-            joint_speeds=self.world.joint_speeds(),
-            slip=np.hypot(along[:, 0], along[:, 1]),
+            time=self.time, **frames, tilt=self.world.tilt, state=np.concatenate([pose, d.qpos[self._all]]),
+            joints=self.world.joints(), joint_speeds=self.world.joint_speeds(), slip=np.hypot(along[:, 0], along[:, 1]),
             wheel_force=np.abs(d.sensordata[self._forces]),
-        )
+        )  # fmt: skip
 
     def _slip(self) -> Array:
         """Velocity (n, 2) [m/s] of each wheel's contact point over the floor, along the wheel and along its axle.

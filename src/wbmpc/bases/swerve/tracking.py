@@ -52,13 +52,9 @@ class SwerveTracking:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        period: float,
-        settings: TrackingSettings,
-        wheel_scale: Array,
+        self, robot: RobotModel, period: float, settings: TrackingSettings, wheel_scale: Array,
         backend: Backend = "compiled",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.robot, self.period, self.settings = robot, period, settings
         modules = swerve_base(robot).geometry.modules
         groups = ("wheel", "steer") if settings.friction else ()

@@ -67,12 +67,9 @@ class WheelCalibration:
 
     @classmethod
     def unknown(
-        cls,
-        geometry: ModuleGeometry,
-        zero: float = ZERO_STD,
-        radius: float = RADIUS_STD,
+        cls, geometry: ModuleGeometry, zero: float = ZERO_STD, radius: float = RADIUS_STD,
         common_radius: float = COMMON_RADIUS_STD,
-    ) -> WheelCalibration:
+    ) -> WheelCalibration:  # fmt: skip
         """The description's numbers, with standard deviations [rad, relative, relative] of what they may be off."""
         not_negative("wheel calibration", zero=zero, radius=radius, common_radius=common_radius)
         n = geometry.modules
@@ -102,13 +99,9 @@ class WheelCalibration:
         return s[: self.modules], s[self.modules :]
 
     def save(
-        self,
-        path: Path,
-        modules: list[str],
-        notes: Sequence[str] = (),
-        arm: Mapping[str, Mapping[str, float]] | None = None,
-        robot: str = "",
-    ) -> None:
+        self, path: Path, modules: list[str], notes: Sequence[str] = (),
+        arm: Mapping[str, Mapping[str, float]] | None = None, robot: str = "",
+    ) -> None:  # fmt: skip
         """Write a YAML file with one entry for each of the named modules (their steer joints), ``notes`` as comments, what is known
         of the ``arm`` by its joints, and the ``robot``'s name."""
         std = self.std
