@@ -12,13 +12,12 @@ from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.mpc.checks import check_events_fit, check_limits, check_settings, check_vector
+from wbmpc.mpc.checks import PlanCheck, check_events_fit, check_limits, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.mpc.described import Described
 from wbmpc.mpc.guess import Bound, Guess, check_found, check_guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.path import PathProgress
-from wbmpc.mpc.plan_check import PlanCheck
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.references import References
 from wbmpc.mpc.statistics import Statistics

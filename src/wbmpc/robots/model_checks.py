@@ -13,9 +13,9 @@ from wbmpc.robots.arm_search import TOOLS, find_arms, is_gripper
 from wbmpc.robots.findings import Finding, Severity
 from wbmpc.robots.mechanism import Joint, Mechanism
 from wbmpc.robots.model_file import MESHES
-from wbmpc.robots.packages import package_of
 from wbmpc.robots.steadiness import tipping_share
 from wbmpc.robots.wheel_search import Wheel, find_wheels
+from wbmpc.robots.xacro_file import package_of
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription

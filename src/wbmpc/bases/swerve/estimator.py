@@ -9,8 +9,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import step
-from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
-from wbmpc.bases.swerve.drives import Smoothing, smooth
+from wbmpc.bases.swerve.drives import ArmDrives, DriveModel, Smoothing, smooth
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement

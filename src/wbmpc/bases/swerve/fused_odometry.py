@@ -20,9 +20,9 @@ from wbmpc.bases.swerve.late_poses import LatePoses
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.bases.swerve.odometry_memory import OdometryMemory
 from wbmpc.bases.swerve.odometry_step import BIAS, LATE, WHEELS, Interval, Way
+from wbmpc.bases.swerve.slip_step import Slip
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import Increment, Mask, Sample, WheelOdometry
-from wbmpc.bases.swerve.wheel_slip import Slip
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
