@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.errors import UnsupportedOperation
+from wbmpc.kernel.ir import Lines
 
 #: For every output: for every non-zero, the offsets [doubles] at which its value is stored.
 OutputMap = Sequence[Sequence[Sequence[int]]]
@@ -91,7 +92,7 @@ def identity_map(function: ca.Function) -> list[list[list[int]]]:
     return [[[i] for i in range(function.nnz_out(k))] for k in range(function.n_out())]
 
 
-class Emitter:
+class Emitter(Lines):
     """One function as straight-line code. The hooks are what numbers and vectors of numbers do differently."""
 
     number, bit = "double", "i1"
@@ -123,14 +124,6 @@ class Emitter:
         return ["ret i32 0", "}"]
 
     # ------------------------------------------------------------------ plumbing
-    def new(self, text: str) -> str:
-        self.count += 1
-        self.lines.append(f"%v{self.count} = {text}")
-        return f"%v{self.count}"
-
-    def address(self, array: str, offset: int) -> str:
-        return self.new(f"getelementptr double, ptr %{array}, i64 {offset}")
-
     def load(self, argument: int, index: int) -> str:
         key = (argument, index)
         if key not in self.loaded:
