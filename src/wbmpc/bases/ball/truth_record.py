@@ -1,6 +1,6 @@
 """What experiments record of a ball robot at every tick, in one call.
 
-What is recorded of a simulated ball robot at every tick, compiled: see :class:`wbmpc.bases.ball.truth_record.TruthRecord`.
+What is recorded of a simulated ball robot at every tick, compiled: see :class:`TruthRecord`.
 
 Positions ``q`` and velocities ``v`` are MuJoCo's; m joints of the arm are at ``arm_q`` and ``arm_v`` in them. Rotations are (3, 3) by rows.
 """

@@ -146,7 +146,7 @@ class BrakeMonitor:
         self.restart_clock()
 
     def _bind(self, backend: Backend) -> None:
-        """Arrays by their names in :class:`wbmpc.bases.swerve.brake_step.Brakes`, and that step."""
+        """Arrays by their names in :class:`Brakes`, and that step."""
         n = len(self.names)
         a = self._arrays = zeros(Brakes, n)
         a |= {"crawl": np.array(self.crawl, float), "expected": np.array(self.expected, float)}

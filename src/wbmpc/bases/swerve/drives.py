@@ -131,7 +131,7 @@ class DryFriction:
     """Dry friction of n drives: estimated from their measured motion, and compensated in their commands.
 
     ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by how much each turns slower than commanded.
-    ``backend``: machine code (:mod:`wbmpc.bases.swerve.drive_step`), or the same source as ordinary Python.
+    ``backend``: machine code, or the same source as ordinary Python.
     """
 
     def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
@@ -176,7 +176,7 @@ class Smoothing:
 
     The age varies from message to message, so a value has an error of speed × age: noise with a known mean. The expected motion of the
     drives predicts the positions, and messages correct them with the time constant ``time`` [s]. ``arrays``: ``read``, ``rates`` and
-    ``value`` (n), as in :func:`wbmpc.bases.swerve.drive_step.smooth`; ``value`` is the one of the last message. ``started``: there has been a
+    ``value`` (n), as in :func:`smooth`; ``value`` is the one of the last message. ``started``: there has been a
     message.
     """
 
