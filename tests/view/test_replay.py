@@ -270,7 +270,7 @@ def test_what_a_replay_does_not_do_stays_on_its_page(run: SimpleNamespace) -> No
     from hostile import Client
 
     from wbmpc.view.access import Access
-    from wbmpc.view.panel import SHOWN, Rejection
+    from wbmpc.view.rejection import SHOWN, Rejection
     from wbmpc.view.replay import Player
 
     player = Player(run.film, Access.of("127.0.0.1"), free_port())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -18,29 +17,10 @@ from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view import bounds
 from wbmpc.view.capture import add_capture
 from wbmpc.view.history import History
+from wbmpc.view.rejection import Rejection
 from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, plain, status_text
 from wbmpc.view.steering import Controls, no_requests
-
-#: How long it is shown [s]: a picture is there for a thirtieth of a second.
-SHOWN = 10.0
-
-
-class Rejection:
-    """The last reason, for :data:`SHOWN` seconds of ``clock`` [s]."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._reason, self._until = clock, "", -math.inf
-
-    def show(self, reason: str) -> None:
-        """Show a reason from the next text on. From any thread, at any rate: it costs nothing here."""
-        self._reason, self._until = reason, self._clock() + SHOWN
-
-    @property
-    def text(self) -> str:
-        """A line of Markdown after others; empty if there is nothing to say."""
-        return f"  \n**Not done:** {plain(self._reason)}" if self._clock() < self._until else ""
-
 
 #: Pictures between two updates of the numbers, and of the plots, which cost a browser more.
 _EVERY, _EVERY_PLOT = 3, 6

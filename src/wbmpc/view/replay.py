@@ -18,7 +18,7 @@ from wbmpc.recording.plots import end_effector_error, positions
 from wbmpc.recording.reader import Recording
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
-from wbmpc.view.panel import Rejection
+from wbmpc.view.rejection import Rejection
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, TRAIL, filled, ground, plain, status_text
 
 #: Pictures per second of a replay, and of a page (which has to hold them all).
