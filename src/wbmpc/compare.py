@@ -220,12 +220,10 @@ def figures_table(rows: list[dict[str, Any]], names: Sequence[str], ended: Seque
     head += [text for name in names[1:] for text in (html.escape(name), "difference")]
     cells = [
         [
-            "outcome",
-            "",
-            html.escape(ended[0] or ""),
+            "outcome", "", html.escape(ended[0] or ""),
             *(text for end in ended[1:] for text in (html.escape(end or ""), "")),
         ]
-    ]
+    ]  # fmt: skip
     for row in rows:
         unit = scale(row["unit"], *row["values"])
         first, *others = map(unit.text, row["values"])

@@ -100,18 +100,11 @@ def size_race(repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
         best = figures["iteration_ms"]
         rows.append(
             {
-                "problem": problem.name,
-                "nx": t.nx,
-                "nu": t.nu,
-                "intervals": t.ocp.intervals,
-                "rows": t.equality.shape[0],
-                "success": figures["success"],
-                "iteration_ms": best,
-                "ocs2_ms": published,
-                "ratio": published / best,
-                "goal": goal,
+                "problem": problem.name, "nx": t.nx, "nu": t.nu, "intervals": t.ocp.intervals,
+                "rows": t.equality.shape[0], "success": figures["success"], "iteration_ms": best, "ocs2_ms": published,
+                "ratio": published / best, "goal": goal,
             }
-        )
+        )  # fmt: skip
     return rows
 
 

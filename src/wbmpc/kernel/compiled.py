@@ -82,10 +82,8 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     ]
     for name, ld in (("cost_quadratic", lz), ("terminal_quadratic", lx)):
         maps[name] = [
-            [[0]],
-            [gradient(i, ld) for i, _ in entries(name, 1)],
-            [symmetric(r, c, ld) for r, c in entries(name, 2)],
-        ]
+            [[0]], [gradient(i, ld) for i, _ in entries(name, 1)], [symmetric(r, c, ld) for r, c in entries(name, 2)],
+        ]  # fmt: skip
     behind = sizes.ng * lz
     maps["equality_jacobian"] = [
         [[q * lz + nx] for q, _ in entries("equality_jacobian", 0)],
@@ -107,12 +105,10 @@ def emit_riccati_node(s: Sizes) -> str:
     product = partial(dense.matrix_product, budget=vector_budget())
     parts = [
         product("k_w", zb, nx1, nx1, lz, lx, 1, lz, None, False),
-        product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False),
-        product("k_mu", zb, nu, nx1, lz, 1, lz, lz, lz, False),
-        product("k_p", xb, nx1, nu, lz, 1, lz, lx, lz, True),
-        dense.reverse_cholesky("k_chol", nu, first, lz),
+        product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False), product("k_mu", zb, nu, nx1, lz, 1, lz, lz, lz, False),
+        product("k_p", xb, nx1, nu, lz, 1, lz, lx, lz, True), dense.reverse_cholesky("k_chol", nu, first, lz),
         dense.gains("k_gains", nu, first, lz, lx if ng else lz, xb, lx),
-    ]
+    ]  # fmt: skip
     if ng:
         parts += [
             dense.solve_transposed_rows("k_r", nu, first, lz, gb, lg),

@@ -37,14 +37,11 @@ def commit() -> str:
     try:
         revision, changed = (
             subprocess.run(
-                ["git", "--no-optional-locks", "-C", str(PACKAGE), *words],
-                capture_output=True,
-                text=True,
-                check=True,
+                ["git", "--no-optional-locks", "-C", str(PACKAGE), *words], capture_output=True, text=True, check=True,
                 timeout=10,
             ).stdout.strip()
             for words in (("rev-parse", "--short=10", "HEAD"), ("status", "--porcelain", "--untracked-files=no", "."))
-        )
+        )  # fmt: skip
         tracked = subprocess.run(
             ["git", "--no-optional-locks", "-C", str(PACKAGE), "ls-files", "--error-unmatch", "__init__.py"],
             capture_output=True,

@@ -62,11 +62,9 @@ class View(LiveView):
         """Start the server's process for the world of a run; returns when it answers."""
         self.scene, before = self._shown = Observer(running).scene, running.name == PREPARATION
         controls = self._controls(
-            None if before else running.mpc,
-            getattr(running.controller, "robot", None),
-            self._loads_of(running).groups,
+            None if before else running.mpc, getattr(running.controller, "robot", None), self._loads_of(running).groups,
             pushes=not before,
-        )
+        )  # fmt: skip
         self.start(self.scene, controls, fields(self.scene))
 
     @staticmethod

@@ -14,8 +14,6 @@ LIBRARY = Library("ball robot", packages=_PACKAGES, modules=tuple(f"wbmpc.bases.
 compiled, step = LIBRARY.compiled, LIBRARY.step
 #: Steps that ask the model, which is the solver's: those of a robot that only estimates need no solver.
 MODEL = Library(
-    "ball robot with its model",
-    packages=(*_PACKAGES, "solver"),
-    modules=("wbmpc.bases.ball.model_steps",),
+    "ball robot with its model", packages=(*_PACKAGES, "solver"), modules=("wbmpc.bases.ball.model_steps",),
     uses=(LIBRARY, DRIVER),
-)
+)  # fmt: skip

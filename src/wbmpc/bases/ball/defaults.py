@@ -83,14 +83,11 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     }
     ocp.add(
         Cost(
-            "end_effector",
-            residuals.FramePose(robot, robot.tool, axes="reference"),
-            list(pose),
-            norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3),
-            at="path+terminal",
+            "end_effector", residuals.FramePose(robot, robot.tool, axes="reference"), list(pose),
+            norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3), at="path+terminal",
             terminal_weight=list(cost.terminal * pose),
         )
-    )
+    )  # fmt: skip
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="path+terminal", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="path+terminal", terminal_weight=end))

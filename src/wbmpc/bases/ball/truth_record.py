@@ -24,11 +24,9 @@ from wbmpc.simulation.scene import from_base
 
 #: Apart from the controller's steps, which need nothing of the simulator.
 LIBRARY = Library(
-    "record of the ball robot",
-    packages=("bases/ball", "simulation", "kernel"),
-    modules=(__name__,),
+    "record of the ball robot", packages=("bases/ball", "simulation", "kernel"), modules=(__name__,),
     uses=(BALL, SIMULATION),
-)
+)  # fmt: skip
 compiled, step = LIBRARY.compiled, LIBRARY.step
 TURN = 2.0 * np.pi
 

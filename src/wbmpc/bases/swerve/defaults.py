@@ -84,13 +84,10 @@ def swerve_problem(
     frame = residuals.FramePose(robot, robot.tool)
     ocp.add(
         Cost(
-            "end_effector",
-            frame,
-            list(end_effector),
-            at="path+terminal",
+            "end_effector", frame, list(end_effector), at="path+terminal",
             terminal_weight=list(cost.terminal * end_effector),
         )
-    )
+    )  # fmt: skip
     ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))
     for constraint in swerve_base(robot).constraints(robot, side_softness, allow_side_slip=allow_side_slip):

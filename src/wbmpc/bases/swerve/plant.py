@@ -87,11 +87,9 @@ class SwervePlant(WheeledPlant):
         self._reject_brake_fault()
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
-            "leg": [m.leg for m in modules if m.leg],
-            "steer": [m.steer for m in modules],
-            "wheel": [m.wheel for m in modules],
-            "arm": arm,
-        }
+            "leg": [m.leg for m in modules if m.leg], "steer": [m.steer for m in modules],
+            "wheel": [m.wheel for m in modules], "arm": arm,
+        }  # fmt: skip
         self.make_world(seed, len(modules), edit, self._rated())
         holds = [BRAKE_FORCE if m.slide else BRAKE_TORQUE for m in modules if m.leg]
         self.brakes = Brakes(len(holds), self.perturbation.brake_delay, np.array(holds))

@@ -111,10 +111,8 @@ def slip_of(w: Wheels, i: int, c: int) -> None:
     """Velocity ``slip`` of wheel i at contact c, along the wheel and along its axle."""
     v, m, o = 6 * w.bodies[i], 9 * w.bodies[i], 3 * w.roots[i]
     x, y, z = (
-        w.at[3 * c] - w.subtree_com[o],
-        w.at[3 * c + 1] - w.subtree_com[o + 1],
-        w.at[3 * c + 2] - w.subtree_com[o + 2],
-    )
+        w.at[3 * c] - w.subtree_com[o], w.at[3 * c + 1] - w.subtree_com[o + 1], w.at[3 * c + 2] - w.subtree_com[o + 2],
+    )  # fmt: skip
     vx = w.cvel[v + 3] + (w.cvel[v + 1] * z - w.cvel[v + 2] * y)
     vy = w.cvel[v + 4] + (w.cvel[v + 2] * x - w.cvel[v] * z)
     vz = w.cvel[v + 5] + (w.cvel[v] * y - w.cvel[v + 1] * x)

@@ -107,14 +107,12 @@ class WheelCalibration:
         std = self.std
         rows = {
             name: {
-                "steer_offset": float(self.steer_offset[i]),
-                "leg_offset": float(self.leg_offset[i]),
-                "wheel_radius": float(self.wheel_radius[i]),
-                "steer_offset_std": float(std[0][i]),
+                "steer_offset": float(self.steer_offset[i]), "leg_offset": float(self.leg_offset[i]),
+                "wheel_radius": float(self.wheel_radius[i]), "steer_offset_std": float(std[0][i]),
                 "wheel_radius_std": float(std[1][i]),
             }
             for i, name in enumerate(modules)
-        }
+        }  # fmt: skip
         scale = np.concatenate(std)
         scale[scale == 0.0] = 1.0
         correlation = self.covariance / np.outer(scale, scale)
