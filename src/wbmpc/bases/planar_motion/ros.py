@@ -12,10 +12,10 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.common.ros import SpeedRosAdapter
+from wbmpc.bases.common.ros_settings import PlanarRosSettings
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.model import planar_base
-from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Weights, planar_estimate
