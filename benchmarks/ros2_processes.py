@@ -21,7 +21,8 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.convert import planar, read_pose, seconds
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.sim import TRUTH_END_EFFECTOR, TRUTH_ODOM
 
 #: The state of a controller that has all it needs.

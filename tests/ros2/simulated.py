@@ -12,7 +12,8 @@ import numpy as np
 
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.control import ControlNode
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.settings import settings_of
 from wbmpc.ros2.sim import SimNode
 from wbmpc.types import Truth

@@ -18,7 +18,8 @@ from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.convert import header, stamp
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 ROBOT = load_robot("swerve-ur10")
 ENVIRONMENT = {**private(), "ROS_DOMAIN_ID": "45"}

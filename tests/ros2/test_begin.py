@@ -19,7 +19,8 @@ from wbmpc.runtime.clock import WallClock
 pytestmark = needs_dds
 if not MISSING:
     from wbmpc.ros2.messages import types
-    from wbmpc.ros2.network import Network, open_node
+    from wbmpc.ros2.network import Network
+    from wbmpc.ros2.opening import open_node
     from wbmpc.ros2.plants import ActiveTrajectory
     from wbmpc.ros2.robot import BusRobot
     from wbmpc.ros2.sim import SimNode

@@ -20,7 +20,8 @@ from needs import MISSING, everything, needs_dds, private, wait_until
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos, full_name
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 pytestmark = needs_dds
 if not MISSING:

@@ -17,7 +17,8 @@ from needs import MISSING, needs_dds, private, wait_until
 from wbmpc.cli import main
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.bus import DEFAULT, LATCHED, SENSOR, Qos
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 pytestmark = needs_dds
 if not MISSING:

@@ -16,7 +16,8 @@ from wbmpc.model.robot import load_robot
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import LATCHED
 from wbmpc.ros2.convert import seconds
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 pytestmark = needs_dds
 if not MISSING:

@@ -18,7 +18,8 @@ from wbmpc.ros2.bus import Qos
 from wbmpc.ros2.convert import LONGEST, error_message, read_pose, read_vector, stamp
 from wbmpc.ros2.deferred import MAX_MESSAGES, Deferred
 from wbmpc.ros2.joints import read_imu
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.settings import settings_of
 
 pytestmark = needs_dds

@@ -16,7 +16,8 @@ from needs import everything, needs_dds, private, wait_until
 from effort import thorough
 from wbmpc.errors import InputError
 from wbmpc.ros2.bus import LATCHED
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 
 
 def test_nothing_set_is_the_default_of_ros() -> None:

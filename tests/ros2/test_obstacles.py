@@ -14,8 +14,9 @@ from needs import MISSING, needs_dds, private, wait_until
 from wbmpc import lie
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ros2.bus import SENSOR
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
 from wbmpc.ros2.obstacles import ObstacleTopics
+from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.settings import OBSTACLE_TYPES, RosSettings
 from wbmpc.ros2.transforms import FIXED, KIND, MAX_FRAMES, Transforms
 

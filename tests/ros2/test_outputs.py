@@ -17,7 +17,8 @@ from wbmpc import lie
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.bus import LATCHED
-from wbmpc.ros2.network import Network, open_node
+from wbmpc.ros2.network import Network
+from wbmpc.ros2.opening import open_node
 from wbmpc.runtime.clock import WallClock
 from wbmpc.stability import assess
 

@@ -23,7 +23,7 @@ if not MISSING:
 
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.ros2.control import ControlNode
-    from wbmpc.ros2.network import open_node
+    from wbmpc.ros2.opening import open_node
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.ros2.tuning import Tuning
 

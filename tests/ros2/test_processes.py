@@ -159,7 +159,7 @@ def test_a_node_that_says_the_same_again_and_again_is_heard_five_times(
         def close(self) -> None:
             pass
 
-    monkeypatch.setattr("wbmpc.ros2.network.open_node", Node)
+    monkeypatch.setattr("wbmpc.ros2.opening.open_node", Node)
     monkeypatch.setattr("wbmpc.ros2.control.ControlNode", Node)
     monkeypatch.setattr("wbmpc.ros2.sim.SimNode", Node)
     assert main(["ros2", command, "swerve-ur10"]) == 0

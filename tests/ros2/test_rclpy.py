@@ -15,7 +15,7 @@ from needs import MISSING, needs_dds, wait_until
 
 from wbmpc.errors import InputError
 from wbmpc.ros2.bus import LATCHED, SENSOR
-from wbmpc.ros2.network import open_node
+from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.sources import AMBIGUOUS
 
 if not MISSING:

@@ -18,7 +18,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.convert import planar, planar_path, read_pose, read_poses
 from wbmpc.ros2.goals import Planner
-from wbmpc.ros2.network import open_node
+from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.publishers import rejections
 from wbmpc.ros2.request_queue import RequestQueue
 from wbmpc.ros2.settings import settings_of

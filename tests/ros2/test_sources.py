@@ -25,7 +25,8 @@ if not MISSING:
     from standin import AHEAD, ENVIRONMENT, NETWORK, PERIOD, ROBOT, drive
 
     from wbmpc.ros2.convert import header, stamp
-    from wbmpc.ros2.network import LEASE, open_node
+    from wbmpc.ros2.network import LEASE
+    from wbmpc.ros2.opening import open_node
 
 
 @dataclass(unsafe_hash=True)

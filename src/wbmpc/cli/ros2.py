@@ -47,7 +47,7 @@ def _on_bus(
 
     from wbmpc.logs import PlaceLimit
     from wbmpc.model.robot import load_robot
-    from wbmpc.ros2.network import open_node
+    from wbmpc.ros2.opening import open_node
     from wbmpc.ros2.settings import load_settings
 
     log = logging.getLogger("wbmpc")
