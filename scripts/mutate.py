@@ -43,7 +43,7 @@ TARGETS: dict[str, tuple[list[str], list[str]]] = {
         [
             *(
                 f"src/wbmpc/bases/swerve/{n}.py"
-                for n in ("wheel_fit", "wheel_odometry", "odometry_filter", "wheel_slip", "slipping_wheels")
+                for n in ("wheel_fit", "wheel_odometry", "odometry_filter", "slip_step", "slipping_wheels")
             ),
             f"{_PANKERT}/release_odometry.py",
         ],

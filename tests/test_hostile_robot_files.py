@@ -15,7 +15,7 @@ from wbmpc.input_file import load_json
 from wbmpc.robots import load_description
 from wbmpc.robots.doctor import examine_robot
 from wbmpc.robots.file_limits import check_size
-from wbmpc.robots.packages import find_package
+from wbmpc.robots.xacro_file import find_package
 from wbmpc.yaml_file import load_yaml
 
 # ---------------------------------------------------------------------- robots

@@ -394,7 +394,7 @@ def test_settings_come_from_a_file_and_the_line_after_it(driving: Path, tmp_path
 
 
 def test_weights_of_sliders_are_a_settings_file(tmp_path: Path) -> None:
-    from wbmpc.cli.settings import write_weights
+    from wbmpc.cli.running import write_weights
 
     assert write_weights({}, {"input": 2.0}, tmp_path) == {}
     files = write_weights({"end_effector": 0.1}, {"input": 2.0}, tmp_path)

@@ -103,12 +103,9 @@ def _recorded(path: Path) -> Run:
     for name, metric in metrics.items():
         check_metric(f"{where}: metric '{name}'", metric)
     figures = {
-        "experiment": about.get("experiment"),
-        "seed": int(seed) if seed.strip("-") else None,
-        "settings": settings,
-        "metrics": metrics,
-        "outcome": result.get("outcome"),
-    }
+        "experiment": about.get("experiment"), "seed": int(seed) if seed.strip("-") else None, "settings": settings,
+        "metrics": metrics, "outcome": result.get("outcome"),
+    }  # fmt: skip
     note = f"did not complete: {result['reason']}" if result.get("reason") else ""
     if not metrics:
         note = f"left no metrics; its recording ends at {recording.end:.2f} s"
@@ -148,13 +145,9 @@ def table(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
         spread = max(known) - min(known) if len(known) == len(values) else None
         unit = max(m["unit"] for m in found if m)  # a recording alone knows none
         row = {
-            "metric": name,
-            "unit": unit,
-            "definition": about,
-            "values": values,
-            "differences": differences,
+            "metric": name, "unit": unit, "definition": about, "values": values, "differences": differences,
             "change": change,
-        }
+        }  # fmt: skip
         rows.append({**row, "spread": spread})
     return rows
 
@@ -227,12 +220,10 @@ def figures_table(rows: list[dict[str, Any]], names: Sequence[str], ended: Seque
     head += [text for name in names[1:] for text in (html.escape(name), "difference")]
     cells = [
         [
-            "outcome",
-            "",
-            html.escape(ended[0] or ""),
+            "outcome", "", html.escape(ended[0] or ""),
             *(text for end in ended[1:] for text in (html.escape(end or ""), "")),
         ]
-    ]
+    ]  # fmt: skip
     for row in rows:
         unit = scale(row["unit"], *row["values"])
         first, *others = map(unit.text, row["values"])

@@ -115,13 +115,10 @@ def default_problem(
     if limited:
         ocp.add(
             Constraint(
-                "accelerations",
-                residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE),
-                sets.NonNegative(),
-                hard=True,
-                slack=ACCELERATION_SLACK,
+                "accelerations", residuals.AccelerationLimit(robot, limited, ACCELERATION_SHARE), sets.NonNegative(),
+                hard=True, slack=ACCELERATION_SLACK,
             )
-        )
+        )  # fmt: skip
     ocp = keep_off_floor(keep_apart(ocp, robot), robot)
     return keep_standing(ocp, robot) if stability is None else keep_upright(ocp, robot, stability)
 

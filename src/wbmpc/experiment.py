@@ -169,13 +169,9 @@ class Scenario:
 
     @classmethod
     def single(
-        cls,
-        log: Log,
-        run: Callable[[Progress | None], Outcome],
-        metrics: Callable[[Run], dict[str, Metric]],
-        plots: Callable[[Run], Sequence[Plot | Drawing]],
-        idealizations: Sequence[str],
-    ) -> Scenario:
+        cls, log: Log, run: Callable[[Progress | None], Outcome], metrics: Callable[[Run], dict[str, Metric]],
+        plots: Callable[[Run], Sequence[Plot | Drawing]], idealizations: Sequence[str],
+    ) -> Scenario:  # fmt: skip
         """One part, which needs no name."""
         return cls(log, (Part("", run),), metrics, plots, idealizations)
 

@@ -105,11 +105,9 @@ def terminable() -> Iterator[None]:
         yield
         return
     taken: dict[int, tuple[Any, Any]] = {
-        signal.SIGALRM: (signal.SIG_DFL, _send_again),
-        signal.SIGINT: (signal.default_int_handler, Request()),
-        signal.SIGTERM: (signal.SIG_DFL, Request()),
-        signal.SIGHUP: (signal.SIG_DFL, Request()),
-    }
+        signal.SIGALRM: (signal.SIG_DFL, _send_again), signal.SIGINT: (signal.default_int_handler, Request()),
+        signal.SIGTERM: (signal.SIG_DFL, Request()), signal.SIGHUP: (signal.SIG_DFL, Request()),
+    }  # fmt: skip
     taken = {number: (usual, own) for number, (usual, own) in taken.items() if signal.getsignal(number) == usual}
     try:
         for number, (_, own) in taken.items():

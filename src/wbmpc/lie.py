@@ -218,11 +218,9 @@ def _turned(q: list[float], x: float, y: float, z: float) -> tuple[float, float,
 def _product(a: list[Any], b: list[Any]) -> tuple[Any, Any, Any, Any]:
     """The Hamilton product of two quaternions, of numbers or expressions."""
     return (
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3], a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1], a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )  # fmt: skip
 
 
 def pose_between(a: ArrayLike, b: ArrayLike) -> Array:

@@ -104,11 +104,9 @@ def command(job: Job) -> list[str]:
 
 
 def run_all(
-    jobs: list[Job],
-    workers: int,
-    progress: Callable[[float, str], None] | None = None,
+    jobs: list[Job], workers: int, progress: Callable[[float, str], None] | None = None,
     make: Callable[[Job], list[str]] = command,
-) -> dict[Job, str]:
+) -> dict[Job, str]:  # fmt: skip
     """Run what is not finished, ``workers`` at a time; returns why runs gave no result. Ctrl-C ends the runs that go on."""
     waiting, running, failed = [j for j in jobs if not j.done], {}, {}  # type: ignore[var-annotated]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

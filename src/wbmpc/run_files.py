@@ -24,16 +24,8 @@ MAX_VALUES = 5_000
 #: Ends of the names of a log's arrays that hold texts.
 TEXTS = (".names", ".units")
 _DAMAGED = (
-    ValueError,
-    OSError,
-    EOFError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    MemoryError,
-    RecursionError,
-    SyntaxError,
-)
+    ValueError, OSError, EOFError, LookupError, AttributeError, TypeError, MemoryError, RecursionError, SyntaxError,
+)  # fmt: skip
 _BROKEN_ARCHIVE = (*_DAMAGED, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 

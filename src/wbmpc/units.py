@@ -8,14 +8,10 @@ from dataclasses import dataclass
 
 #: By SI unit: (largest magnitude [SI unit], unit that is shown below it, shown per SI unit); the first that fits is taken.
 _SCALES: dict[str, tuple[tuple[float, str, float], ...]] = {
-    "m": ((1e-4, "µm", 1e6), (0.1, "mm", 1e3)),
-    "m/s": ((0.1, "mm/s", 1e3),),
-    "s": ((0.1, "ms", 1e3),),
-    "rad": ((math.inf, "°", 180 / math.pi),),
-    "rad/s": ((math.inf, "°/s", 180 / math.pi),),
-    "m2": ((math.inf, "m²", 1.0),),
-    "1": ((0.1, "%", 100.0),),
-}
+    "m": ((1e-4, "µm", 1e6), (0.1, "mm", 1e3)), "m/s": ((0.1, "mm/s", 1e3),), "s": ((0.1, "ms", 1e3),),
+    "rad": ((math.inf, "°", 180 / math.pi),), "rad/s": ((math.inf, "°/s", 180 / math.pi),),
+    "m2": ((math.inf, "m²", 1.0),), "1": ((0.1, "%", 100.0),),
+}  # fmt: skip
 
 
 def rate_unit(unit: str) -> str:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from effort import draws
-from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
+from wbmpc.bases.swerve.drives import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.inertial_velocity import ACCELERATION_ZEROS, ANNOUNCED, FOLLOW, NEAR, InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement

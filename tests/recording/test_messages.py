@@ -88,8 +88,15 @@ def test_a_template_gives_the_bytes_of_the_message(kind: str, seed: int) -> None
         expected.append(encode(kind, _timed(kind, other, 7 + k, 123456789, found)))
         times.append((7 + k) * 1_000_000_000 + 123456789)
         numbers.append(found)
-    assert template.fill(times, np.array(numbers)) == expected
+    filled = [template.fill(time, np.array(row)) for time, row in zip(times, numbers, strict=True)]
+    assert filled == expected
     assert template.size == len(numbers[0])
+
+
+def test_a_template_with_other_numbers_than_it_has_is_rejected() -> None:
+    template = Template("geometry_msgs/Pose", np.zeros(7))
+    with pytest.raises(InputError, match="geometry_msgs/Pose needs 7 numbers, got 6"):
+        template.fill(0, np.zeros(6))
 
 
 def _like(value, rng: np.random.Generator):  # type: ignore[no-untyped-def]

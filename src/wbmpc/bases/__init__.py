@@ -23,11 +23,9 @@ TABLE: dict[str, str] = {
     "fixed": "wbmpc.bases.fixed.plugin:FixedBaseType",
     "differential": "wbmpc.bases.differential.plugin:DifferentialBaseType",
     "omnidirectional": "wbmpc.bases.omnidirectional.plugin:OmnidirectionalBaseType",
-    "wheels": "wbmpc.bases.wheels.plugin:WheelsBaseType",
-    "planar": "wbmpc.bases.planar.plugin:MobileBaseType",
-    "swerve": "wbmpc.bases.swerve.plugin:SwerveBaseType",
-    "ball": "wbmpc.bases.ball.plugin:BallBaseType",
-}
+    "wheels": "wbmpc.bases.wheels.plugin:WheelsBaseType", "planar": "wbmpc.bases.planar.plugin:MobileBaseType",
+    "swerve": "wbmpc.bases.swerve.plugin:SwerveBaseType", "ball": "wbmpc.bases.ball.plugin:BallBaseType",
+}  # fmt: skip
 
 
 @cache

@@ -259,13 +259,9 @@ def peer_statistics(name: str, prepared: Prepared, problem: Problem, measure: Me
 
 
 def equal_statistics(
-    name: str,
-    prepared: Prepared,
-    x0: np.ndarray,
-    start: tuple[np.ndarray, np.ndarray],
-    figures: dict[str, Any],
+    name: str, prepared: Prepared, x0: np.ndarray, start: tuple[np.ndarray, np.ndarray], figures: dict[str, Any],
     measure: Measure,
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Iterations and time, without set-up, until the common measure is met; ``figures``: of the solve to the end."""
     guess, above = _bounds(prepared, *start)
 

@@ -293,16 +293,13 @@ class Program:
         unused = ["f", "g", "grad_gamma_x", "grad_gamma_p"]  # asked for, but only for multipliers that are not read
         full = ("nlp_hess_l", second, [nothing, lam_f * hessian], names[1], ["grad_gamma_x", "hess_gamma_x_x"])
         target = (
-            ("nlp", arguments, [f, g], names[0], ["f", "g"]),
-            ("nlp_f", arguments, [f], names[0], ["f"]),
-            ("nlp_g", arguments, [g], names[0], ["g"]),
-            ("nlp_grad_f", arguments, [gradient], names[0], ["grad_f_x"]),
-            ("nlp_jac_g", arguments, [g, self.jacobian()], names[0], ["g", "jac_g_x"]),
-            full,
+            ("nlp", arguments, [f, g], names[0], ["f", "g"]), ("nlp_f", arguments, [f], names[0], ["f"]),
+            ("nlp_g", arguments, [g], names[0], ["g"]), ("nlp_grad_f", arguments, [gradient], names[0], ["grad_f_x"]),
+            ("nlp_jac_g", arguments, [g, self.jacobian()], names[0], ["g", "jac_g_x"]), full,
             ("nlp_grad", second, [f, g, nothing, none], names[1], unused),
             ("grad_f", arguments, [f, gradient], names[0], ["f", "grad_f_x"]),
             ("hess_lag", second, [lam_f * upper], names[1], ["triu_hess_gamma_x_x"]),
-        )
+        )  # fmt: skip
         return {entry[0]: ca.Function(*entry) for entry in target}
 
 

@@ -100,18 +100,11 @@ def size_race(repeat: int, note: Callable[[str], None]) -> list[dict[str, Any]]:
         best = figures["iteration_ms"]
         rows.append(
             {
-                "problem": problem.name,
-                "nx": t.nx,
-                "nu": t.nu,
-                "intervals": t.ocp.intervals,
-                "rows": t.equality.shape[0],
-                "success": figures["success"],
-                "iteration_ms": best,
-                "ocs2_ms": published,
-                "ratio": published / best,
-                "goal": goal,
+                "problem": problem.name, "nx": t.nx, "nu": t.nu, "intervals": t.ocp.intervals,
+                "rows": t.equality.shape[0], "success": figures["success"], "iteration_ms": best, "ocs2_ms": published,
+                "ratio": published / best, "goal": goal,
             }
-        )
+        )  # fmt: skip
     return rows
 
 
@@ -212,12 +205,8 @@ def robot_race(problem: Problem, repeat: int, note: Callable[[str], None]) -> li
     """One problem by all full solvers: milliseconds to the common residual and per iteration, largest difference from ours."""
     t = problem.solver.problem
     size = {
-        "nx": t.nx,
-        "nu": t.nu,
-        "rows": t.equality.shape[0],
-        "limits": len(t.path.rows),
-        "intervals": t.ocp.intervals,
-    }
+        "nx": t.nx, "nu": t.nu, "rows": t.equality.shape[0], "limits": len(t.path.rows), "intervals": t.ocp.intervals,
+    }  # fmt: skip
     common = {"problem": problem.name, **size}
     x, u, figures = ours(problem, repeat)
     rows = [{**common, "solver": "wbmpc SQP", **figures, "difference": 0.0}]

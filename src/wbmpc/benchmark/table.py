@@ -44,15 +44,9 @@ def ending(row: dict[str, Any]) -> str:
 
 def _race(rows: list[dict[str, Any]]) -> Table:
     columns = (
-        "problem",
-        "solver",
-        "ms to 1e-6",
-        "ms to convergence",
-        "iterations",
-        "ms / iteration",
-        "residual",
+        "problem", "solver", "ms to 1e-6", "ms to convergence", "iterations", "ms / iteration", "residual",
         "difference",
-    )
+    )  # fmt: skip
     last = ("iterations", "iteration_ms", "residual", "difference")
     cells = [
         [*(r.get(k) for k in ("problem", "solver", "equal_ms")), ending(r), *(r.get(k) for k in last)] for r in rows

@@ -121,10 +121,8 @@ class Finder:
         o = np.array(which)[i]
         n, p, q = found.normal[k, f, i], found.own[k, f, i], found.other[k, f, i]
         out.distance[k, f, o], out.normal[k, f, o], out.level[k, f, o] = (
-            found.distance[k, f, i],
-            n,
-            np.sum(n * q, axis=1),
-        )
+            found.distance[k, f, i], n, np.sum(n * q, axis=1),
+        )  # fmt: skip
         out.point[k, f, o] = np.einsum("mi,mij->mj", p - poses.position[k, f], poses.rotation[k, f])
 
     def along(

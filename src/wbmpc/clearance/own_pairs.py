@@ -89,13 +89,8 @@ def measure(
     """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`nearest_own` within
     ``reach`` [m]: how many pairs touch."""
     address, nx, all_frames, frames, shapes, rows = (
-        parts.address,
-        parts.nx,
-        parts.all_frames,
-        parts.frames,
-        parts.shapes,
-        parts.rows,
-    )
+        parts.address, parts.nx, parts.all_frames, parts.frames, parts.shapes, parts.rows,
+    )  # fmt: skip
     poses, table, position, rotation = at_states.poses, at_states.table, at_states.position, at_states.rotation
     for k in range(n):
         table[0] = states.ctypes.data + 8 * k * nx
@@ -172,11 +167,8 @@ class OwnPairs:
 
     def _allocate(self, n: int) -> None:
         shapes, frames, rows, pairs = (
-            len(self._table.arrays["frame_of"]),
-            self._frames,
-            self.rows,
-            len(self._index["row_of"]),
-        )
+            len(self._table.arrays["frame_of"]), self._frames, self.rows, len(self._index["row_of"]),
+        )  # fmt: skip
         own = len(self._table.geometry.frames)
         zeros = lambda *shape: np.zeros((n, *shape))
         self._states, self.distance, self.parameters = zeros(self._nx), zeros(rows), zeros(rows * SELF_WIDTH)

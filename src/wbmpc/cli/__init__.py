@@ -26,9 +26,8 @@ from wbmpc.cli.recordings import compare, log
 from wbmpc.cli.reproduction import reproduce
 from wbmpc.cli.results import show_results
 from wbmpc.cli.ros2 import ros2
-from wbmpc.cli.running import execute
+from wbmpc.cli.running import execute, show_settings
 from wbmpc.cli.runs import runs
-from wbmpc.cli.settings import show_settings
 from wbmpc.cli.stability import stability
 from wbmpc.cli.study import study, tune
 from wbmpc.cli.terminal import (

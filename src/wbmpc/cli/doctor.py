@@ -77,11 +77,9 @@ def doctor(
     if as_json:
         findings = [vars(f) for f in result.findings]
         summary = {
-            "robot": result.robot,
-            "model": result.model,
-            "errors": result.count("error"),
+            "robot": result.robot, "model": result.model, "errors": result.count("error"),
             "warnings": result.count("warning"),
-        }
+        }  # fmt: skip
         typer.echo(json.dumps({**summary, "check_ms": round(result.milliseconds, 1), "findings": findings}))
     else:
         for finding in result.findings:

@@ -49,11 +49,9 @@ def export(
         compared = compare(done, mpc) if check else None
     if as_json:
         found = {
-            "object": str(out / f"{prefix}.o"),
-            "target": target,
-            "object_bytes": done.object_size,
+            "object": str(out / f"{prefix}.o"), "target": target, "object_bytes": done.object_size,
             "block_bytes": done.block_size,
-        }
+        }  # fmt: skip
         found |= {"defined": done.symbols.defined, "undefined": done.symbols.undefined}
         found |= {} if compared is None else {"check": {**vars(compared), "passed": compared.passed}}
         typer.echo(json.dumps(found))

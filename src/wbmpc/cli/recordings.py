@@ -216,10 +216,8 @@ def _compare_table(rows: list[dict[str, Any]], names: list[str], ended: list[str
         shown.add_column(column)
     first, *others = map(printable, names)
     headings = [
-        first,
-        *(text for name in others for text in (name, "difference")),
-        *(["spread"] if len(names) > 2 else []),
-    ]
+        first, *(text for name in others for text in (name, "difference")), *(["spread"] if len(names) > 2 else []),
+    ]  # fmt: skip
     for column in headings:
         shown.add_column(column, justify="right", no_wrap=True)
     ends = [printable(end or "") for end in ended]

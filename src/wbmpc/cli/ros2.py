@@ -36,15 +36,9 @@ def ros2_options(context: typer.Context) -> None:
 
 
 def _on_bus(
-    context: typer.Context,
-    robot: str,
-    config: Path | None,
-    backend: str,
-    suffix: str = "",
-    use_sim_time: bool = False,
-    lockstep: bool = False,
-    priority: int = 0,
-) -> tuple[Any, RobotModel, RosSettings]:
+    context: typer.Context, robot: str, config: Path | None, backend: str, suffix: str = "", use_sim_time: bool = False,
+    lockstep: bool = False, priority: int = 0,
+) -> tuple[Any, RobotModel, RosSettings]:  # fmt: skip
     """A node for a command that runs until it is interrupted or commanded to end, and what the file and the options say."""
     import logging
 
@@ -86,15 +80,9 @@ def _before_all_others(priority: int) -> None:
 
 @ros2.command("control")
 def ros2_control(
-    context: typer.Context,
-    robot: Robot,
-    config: Config = None,
-    backend: BackEnd = "auto",
-    use_sim_time: SimTime = False,
-    lockstep: Lockstep = False,
-    fifo: Fifo = False,
-    as_json: AsJson = False,
-) -> None:
+    context: typer.Context, robot: Robot, config: Config = None, backend: BackEnd = "auto",
+    use_sim_time: SimTime = False, lockstep: Lockstep = False, fifo: Fifo = False, as_json: AsJson = False,
+) -> None:  # fmt: skip
     """Run the controller as a node; it waits for joint states and a goal."""
     node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
     from wbmpc.ros2.control import ControlNode

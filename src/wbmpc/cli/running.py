@@ -6,14 +6,15 @@ import json
 import logging
 import shlex
 import time
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import typer
 
 from wbmpc.cli.directories import RECORD_LIMIT, run_directory, size_of
-from wbmpc.cli.settings import write_weights
-from wbmpc.cli.terminal import progress_bar
+from wbmpc.cli.terminal import console, progress_bar, table
 from wbmpc.errors import EndedByUser, InputError, NotWritten, RunAborted
 
 if TYPE_CHECKING:
@@ -22,6 +23,40 @@ if TYPE_CHECKING:
     from wbmpc.experiment import Experiment
     from wbmpc.result import RunResult
     from wbmpc.view.live import View
+
+
+def show_settings(model: type[BaseModel], name: str, as_json: bool, values: BaseModel | None = None) -> None:
+    """Every setting of an experiment; ``values``: in place of the defaults."""
+
+    from wbmpc.settings_table import rows
+
+    found = list(rows(model, values=values))
+    if as_json:
+        typer.echo(json.dumps({"experiment": name, "settings": [asdict(row) for row in found]}))
+        return
+    shown = table(f"settings of {name} (--set KEY=VALUE, or a YAML file with --config)")
+    of = {"of": "choice"} if any(row.choice for row in found) else {}
+    value = "default" if values is None else "value"
+    columns = {"setting": "key", **of, value: "default", "unit": "unit", "type and range": "kind", "meaning": "help"}
+    for title in columns:
+        shown.add_column(title)
+    for row in found:
+        shown.add_row(*(getattr(row, field).replace("`", "") for field in columns.values()))
+    console().print(shown)
+
+
+def write_weights(factors: Mapping[str, float], before: Mapping[str, float], directory: Path) -> dict[str, str]:
+    """A settings file of the weights' ``factors`` by cost, in place of those ``before`` the run, if any was moved; its path by "weights"."""
+    if not factors:
+        return {}
+    from wbmpc.output_file import write_text
+    from wbmpc.robots.robot_yaml import write_yaml
+
+    path = directory / "weights.yaml"
+    text = "Factors of the costs' weights as the sliders were left: wbmpc run NAME --config weights.yaml"
+    write_text(path, write_yaml({"weights": {**before, **factors}}, {"": text}))
+    return {"weights": str(path)}
+
 
 _LOG = logging.getLogger("wbmpc")
 #: What is said of a run that a user has steered.
@@ -39,16 +74,9 @@ class Session(Protocol):
 
 
 def execute(
-    session: Session,
-    name: str,
-    seed: int,
-    assignments: list[str],
-    out: Path | None,
-    show: bool,
-    view: View | None = None,
-    record_limit: str = RECORD_LIMIT,
-    config: Path | None = None,
-) -> tuple[RunResult, dict[str, str]]:
+    session: Session, name: str, seed: int, assignments: list[str], out: Path | None, show: bool,
+    view: View | None = None, record_limit: str = RECORD_LIMIT, config: Path | None = None,
+) -> tuple[RunResult, dict[str, str]]:  # fmt: skip
     """A run and its files. Restarted in the view, it is another run with files of its own; the last one is returned."""
     from wbmpc.configuration import configure
 
@@ -78,16 +106,9 @@ def execute(
 
 
 def _attempt(
-    name: str,
-    experiment: Experiment,
-    settings: BaseModel,
-    seed: int,
-    out: Path | None,
-    show: bool,
-    view: View | None,
-    limit: int,
-    command: str,
-) -> tuple[RunResult, dict[str, str]]:
+    name: str, experiment: Experiment, settings: BaseModel, seed: int, out: Path | None, show: bool, view: View | None,
+    limit: int, command: str,
+) -> tuple[RunResult, dict[str, str]]:  # fmt: skip
     from wbmpc.recording.recorder import Recorder
     from wbmpc.report import RECORDING, about_run, outcome, write_run
     from wbmpc.result import RunResult

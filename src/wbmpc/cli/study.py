@@ -108,13 +108,9 @@ def study(
 
 
 def tune(
-    context: typer.Context,
-    name: File,
-    out: Out = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
+    context: typer.Context, name: File, out: Out = None, workers: Workers = None, scheduler: Scheduler = None,
     as_json: AsJson = False,
-) -> None:
+) -> None:  # fmt: skip
     """Search settings on tuning seeds; write the best for --config, and the reporting seeds before and after."""
     talks = not (as_json or context.obj.quiet)
     with _opened(name, out) as opened, _progress(opened, opened.definition.title, talks) as progress:

@@ -41,15 +41,9 @@ class DirectController:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        mpc: MPC,
-        period: float,
-        lag: float = 0.0,
-        *,
-        rate: Array | None = None,
+        self, robot: RobotModel, mpc: MPC, period: float, lag: float = 0.0, *, rate: Array | None = None,
         feedback: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         positive("controller", period=period)
         not_negative("controller", lag=lag)
         self.robot, self.mpc, self.period, self.lag, self.feedback = robot, mpc, period, lag, feedback

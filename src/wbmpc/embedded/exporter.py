@@ -83,26 +83,12 @@ def _in_the_library(name: str) -> bool:
 #: All that the object file may need from elsewhere: the C library's mathematics, and copies and zeros of memory.
 ALLOWED = frozenset(
     {
-        "sin",
-        "cos",
-        "tan",
-        "sincos",
-        "asin",
-        "acos",
-        "atan",
-        "atan2",
-        "sinh",
-        "cosh",
-        "tanh",
-        "asinh",
-        "acosh",
-        "atanh",
-        "exp",
-        "log",
+        "sin", "cos", "tan", "sincos", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh",
+        "atanh", "exp", "log",
     }
     | {"log1p", "expm1", "pow", "fmax", "fmin", "floor", "ceil", "round", "trunc", "fmod", "hypot", "copysign", "erf"}
     | {"memcpy", "memset", "memmove"}
-)
+)  # fmt: skip
 
 
 #: Samples of a reference at most: the block of memory has room for all of them.

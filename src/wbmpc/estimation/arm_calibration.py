@@ -48,13 +48,9 @@ def load_arm_offset(path: Path | str, joints: list[str], robot: str = "") -> Arr
 
 
 def calibrate_arm(
-    robot: RobotModel,
-    arm: ArrayLike,
-    tool: ArrayLike,
-    std: float,
-    covariance: ArrayLike | None = None,
+    robot: RobotModel, arm: ArrayLike, tool: ArrayLike, std: float, covariance: ArrayLike | None = None,
     frame: str | None = None,
-) -> ArmCalibration:
+) -> ArmCalibration:  # fmt: skip
     """From the arm's encoders ``arm`` (k, m) [rad or m] and positions ``tool`` (k, 3) [m] of the end effector in axes of the base's body,
     origin where the robot's model has it, each with a standard deviation ``std`` [m]; ``covariance`` (m, m) of the zeros before (left
     out: :data:`ZERO_STD` each); ``frame``: of the end effector (left out: the robot's first).

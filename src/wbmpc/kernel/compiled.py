@@ -26,37 +26,16 @@ RELATIVE_SOFTNESS = 1e-12
 
 #: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
 _SINGLE = (
-    "dynamics",
-    "terminal",
-    "end_rows",
-    "jump",
-    "terminal_quadratic",
-    "end_rows_jacobian",
-    "jump_jacobian",
-    *SECOND,
-)
+    "dynamics", "terminal", "end_rows", "jump", "terminal_quadratic", "end_rows_jacobian", "jump_jacobian", *SECOND,
+)  # fmt: skip
 #: Functions of eight nodes at a time, at addresses called "lanes.…".
 _EIGHT = (
-    "dynamics",
-    "cost",
-    "equality",
-    "rows",
-    "dynamics_jacobian",
-    "cost_quadratic",
-    "equality_jacobian",
-    "rows_jacobian",
-)
+    "dynamics", "cost", "equality", "rows", "dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian",
+)  # fmt: skip
 _KERNELS = (
-    "riccati_node",
-    "add_rows",
-    "row_products",
-    "chain_lanes",
-    "pack",
-    "unpack_ab",
-    "unpack_matrix",
-    "unpack_equalities",
-    "unpack_rows",
-)
+    "riccati_node", "add_rows", "row_products", "chain_lanes", "pack", "unpack_ab", "unpack_matrix",
+    "unpack_equalities", "unpack_rows",
+)  # fmt: skip
 #: Order of the addresses in :attr:`Kernel.addresses`.
 ADDRESSES = (*_SINGLE, *(f"lanes.{n}" for n in _EIGHT), *_KERNELS)
 #: The same functions as the module of a problem calls them.
@@ -103,10 +82,8 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     ]
     for name, ld in (("cost_quadratic", lz), ("terminal_quadratic", lx)):
         maps[name] = [
-            [[0]],
-            [gradient(i, ld) for i, _ in entries(name, 1)],
-            [symmetric(r, c, ld) for r, c in entries(name, 2)],
-        ]
+            [[0]], [gradient(i, ld) for i, _ in entries(name, 1)], [symmetric(r, c, ld) for r, c in entries(name, 2)],
+        ]  # fmt: skip
     behind = sizes.ng * lz
     maps["equality_jacobian"] = [
         [[q * lz + nx] for q, _ in entries("equality_jacobian", 0)],
@@ -128,26 +105,21 @@ def emit_riccati_node(s: Sizes) -> str:
     product = partial(dense.matrix_product, budget=vector_budget())
     parts = [
         product("k_w", zb, nx1, nx1, lz, lx, 1, lz, None, False),
-        product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False),
-        product("k_mu", zb, nu, nx1, lz, 1, lz, lz, lz, False),
-        product("k_p", xb, nx1, nu, lz, 1, lz, lx, lz, True),
-        dense.reverse_cholesky("k_chol", nu, first, lz),
+        product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False), product("k_mu", zb, nu, nx1, lz, 1, lz, lz, lz, False),
+        product("k_p", xb, nx1, nu, lz, 1, lz, lx, lz, True), dense.reverse_cholesky("k_chol", nu, first, lz),
         dense.gains("k_gains", nu, first, lz, lx if ng else lz, xb, lx),
-    ]
+    ]  # fmt: skip
     if ng:
         parts += [
             dense.solve_transposed_rows("k_r", nu, first, lz, gb, lg),
             product("k_ch", xb, ng, nu, lz, 1, lg, lx, lz, True),
             product("k_s", gb, ng, nu, lg, 1, lg, lg, None, False),
             dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_SOFTNESS),
-            product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False),
-            dense.schur_back("k_back", ng, lg, lx),
+            product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False), dense.schur_back("k_back", ng, lg, lx),
             product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),
-            product("k_left", xb, ng, nu, lx, lz, 1, lx, lz, False),
-            dense.soften("k_soft", ng, lx),
-            dense.schur_forward("k_forth", ng, lg, lx),
-            product("k_more", xb, nu, ng, lx, lg, 1, lx, lx, False),
-        ]
+            product("k_left", xb, ng, nu, lx, lz, 1, lx, lz, False), dense.soften("k_soft", ng, lx),
+            dense.schur_forward("k_forth", ng, lg, lx), product("k_more", xb, nu, ng, lx, lg, 1, lx, lx, False),
+        ]  # fmt: skip
     o = s.scratch()
     body = dense.Body("riccati_node", "AB H E EPS P K X")
     body.lines = [body.lines[0].replace("noalias ", "")]

@@ -6,6 +6,8 @@ Storage of a matrix: contiguous vectors ("columns") of padded length, one after 
 
 from __future__ import annotations
 
+from wbmpc.kernel.ir import Lines
+
 V = "<8 x double>"
 FMA = f"declare {V} @llvm.fmuladd.v8f64({V}, {V}, {V})"
 ALIGN = 64
@@ -16,21 +18,13 @@ def pad(n: int) -> int:
     return (n + 7) // 8 * 8
 
 
-class Body:
+class Body(Lines):
     """Straight-line vector code of one function with pointer arguments."""
 
     def __init__(self, name: str, arguments: str) -> None:
         parameters = ", ".join(f"ptr noalias %{a}" for a in arguments.split())
         self.lines = [f"define void @{name}({parameters}) nounwind {{"]
         self.count = 0
-
-    def new(self, text: str) -> str:
-        self.count += 1
-        self.lines.append(f"%v{self.count} = {text}")
-        return f"%v{self.count}"
-
-    def address(self, array: str, offset: int) -> str:
-        return self.new(f"getelementptr double, ptr %{array}, i64 {offset}")
 
     def load(self, array: str, offset: int) -> str:
         return self.new(f"load {V}, ptr {self.address(array, offset)}, align {ALIGN}")
@@ -91,14 +85,9 @@ def matrix_product(
 
 
 def _tile(
-    p: str,
-    rows: range,
-    columns: range,
-    j: int,
-    inner: int,
-    strides: tuple[int, int, int, int, int | None],
+    p: str, rows: range, columns: range, j: int, inner: int, strides: tuple[int, int, int, int, int | None],
     negative: bool,
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """One tile of a product: all of its sums stay in registers."""
     lda, bj, bk, ldc, ldi = strides
     cells = [(q, i) for q in columns for i in rows]

@@ -151,6 +151,21 @@ class Signature(NamedTuple):
         ]
 
 
+class Lines:
+    """LLVM IR of one function in the making: ``lines``, and how many values have a name."""
+
+    lines: list[str]
+    count: int
+
+    def new(self, text: str) -> str:
+        self.count += 1
+        self.lines.append(f"%v{self.count} = {text}")
+        return f"%v{self.count}"
+
+    def address(self, array: str, offset: int) -> str:
+        return self.new(f"getelementptr double, ptr %{array}, i64 {offset}")
+
+
 class Value(NamedTuple):
     """A typed LLVM value."""
 

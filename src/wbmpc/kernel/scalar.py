@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.errors import UnsupportedOperation
+from wbmpc.kernel.ir import Lines
 
 #: For every output: for every non-zero, the offsets [doubles] at which its value is stored.
 OutputMap = Sequence[Sequence[Sequence[int]]]
@@ -21,37 +22,14 @@ OutputMap = Sequence[Sequence[Sequence[int]]]
 _BINARY = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul", ca.OP_DIV: "fdiv"}
 _COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "une"}
 _CALL = {
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TAN: "tan",
-    ca.OP_ASIN: "asin",
-    ca.OP_ACOS: "acos",
-    ca.OP_ATAN: "atan",
-    ca.OP_SINH: "sinh",
-    ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh",
-    ca.OP_EXP: "exp",
-    ca.OP_LOG: "log",
-    ca.OP_SQRT: "llvm.sqrt.f64",
-    ca.OP_FABS: "llvm.fabs.f64",
-    ca.OP_FLOOR: "llvm.floor.f64",
-    ca.OP_CEIL: "llvm.ceil.f64",
-    ca.OP_ATAN2: "atan2",
-    ca.OP_POW: "pow",
-    ca.OP_CONSTPOW: "pow",
-    ca.OP_FMIN: "fmin",
-    ca.OP_FMAX: "fmax",
-    ca.OP_COPYSIGN: "llvm.copysign.f64",
-    ca.OP_HYPOT: "hypot",
-    ca.OP_ASINH: "asinh",
-    ca.OP_ACOSH: "acosh",
-    ca.OP_ATANH: "atanh",
-    ca.OP_EXPM1: "expm1",
-    ca.OP_LOG1P: "log1p",
-    ca.OP_ERF: "erf",
-    ca.OP_FMOD: "fmod",
-    ca.OP_REMAINDER: "remainder",
-}
+    ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan", ca.OP_ASIN: "asin", ca.OP_ACOS: "acos", ca.OP_ATAN: "atan",
+    ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh", ca.OP_EXP: "exp", ca.OP_LOG: "log",
+    ca.OP_SQRT: "llvm.sqrt.f64", ca.OP_FABS: "llvm.fabs.f64", ca.OP_FLOOR: "llvm.floor.f64",
+    ca.OP_CEIL: "llvm.ceil.f64", ca.OP_ATAN2: "atan2", ca.OP_POW: "pow", ca.OP_CONSTPOW: "pow", ca.OP_FMIN: "fmin",
+    ca.OP_FMAX: "fmax", ca.OP_COPYSIGN: "llvm.copysign.f64", ca.OP_HYPOT: "hypot", ca.OP_ASINH: "asinh",
+    ca.OP_ACOSH: "acosh", ca.OP_ATANH: "atanh", ca.OP_EXPM1: "expm1", ca.OP_LOG1P: "log1p", ca.OP_ERF: "erf",
+    ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder",
+}  # fmt: skip
 #: Those of them with two arguments.
 TWO = {"atan2", "pow", "fmin", "fmax", "llvm.copysign.f64", "hypot", "fmod", "remainder"}
 
@@ -114,7 +92,7 @@ def identity_map(function: ca.Function) -> list[list[list[int]]]:
     return [[[i] for i in range(function.nnz_out(k))] for k in range(function.n_out())]
 
 
-class Emitter:
+class Emitter(Lines):
     """One function as straight-line code. The hooks are what numbers and vectors of numbers do differently."""
 
     number, bit = "double", "i1"
@@ -146,14 +124,6 @@ class Emitter:
         return ["ret i32 0", "}"]
 
     # ------------------------------------------------------------------ plumbing
-    def new(self, text: str) -> str:
-        self.count += 1
-        self.lines.append(f"%v{self.count} = {text}")
-        return f"%v{self.count}"
-
-    def address(self, array: str, offset: int) -> str:
-        return self.new(f"getelementptr double, ptr %{array}, i64 {offset}")
-
     def load(self, argument: int, index: int) -> str:
         key = (argument, index)
         if key not in self.loaded:

@@ -16,7 +16,7 @@ from collections.abc import Collection
 
 import casadi as ca
 
-from wbmpc.kernel.ir import LANES
+from wbmpc.kernel.ir import LANES, Lines
 from wbmpc.kernel.scalar import TWO, Emitter, OutputMap, identity_map, literal
 
 #: Beyond it sine and cosine come from the C library: the reduction's products n π/2 are exact up to n = 2²⁰.
@@ -31,14 +31,9 @@ _COSINE = (
     2.08757232129817482790e-09, -1.13596475577881948265e-11,
 )  # fmt: skip
 _NATIVE = {
-    "llvm.sqrt.f64": "sqrt",
-    "llvm.fabs.f64": "fabs",
-    "llvm.floor.f64": "floor",
-    "llvm.ceil.f64": "ceil",
-    "llvm.copysign.f64": "copysign",
-    "fmin": "minnum",
-    "fmax": "maxnum",
-}
+    "llvm.sqrt.f64": "sqrt", "llvm.fabs.f64": "fabs", "llvm.floor.f64": "floor", "llvm.ceil.f64": "ceil",
+    "llvm.copysign.f64": "copysign", "fmin": "minnum", "fmax": "maxnum",
+}  # fmt: skip
 
 
 def _splat(value: float) -> str:
@@ -109,16 +104,11 @@ def emit_lanes(
     return _Lanes(function, name, outputs, width, shared).emit()
 
 
-class _Helper:
+class _Helper(Lines):
     """Lines of a helper function; names count up."""
 
     def __init__(self, width: int) -> None:
         self.t, self.width, self.lines, self.count = f"<{width} x double>", width, list[str](), 0
-
-    def new(self, text: str) -> str:
-        self.count += 1
-        self.lines.append(f"%v{self.count} = {text}")
-        return f"%v{self.count}"
 
     def op(self, word: str, a: str, b: str | float, contract: bool = False) -> str:
         right = b if isinstance(b, str) else _splat(b)

@@ -44,16 +44,10 @@ class Sizes:
     def scratch(self) -> dict[str, int]:
         """Offsets [doubles] of the parts of the Riccati step's scratch memory, and its total size."""
         sizes = {
-            "W": (self.nx + 1) * self.lz,
-            "M": self.nz * self.lz,
-            "D": dense.pad(self.nu),
-            "T": self.nu * self.lx,
-            "R": self.nu * self.lg,
-            "Z": self.ng * self.lx,
-            "Y": self.ng * self.lx,
-            "S": self.ng * self.lg,
+            "W": (self.nx + 1) * self.lz, "M": self.nz * self.lz, "D": dense.pad(self.nu), "T": self.nu * self.lx,
+            "R": self.nu * self.lg, "Z": self.ng * self.lx, "Y": self.ng * self.lx, "S": self.ng * self.lg,
             "I": self.lg,
-        }
+        }  # fmt: skip
         offsets, total = {}, 0
         for name, size in sizes.items():
             offsets[name] = total

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from wbmpc.errors import KernelError
-from wbmpc.kernel.ir import BOOL, INT, LANES, MASK, NUM, VEC, Signature, Type, Value, alignment, llvm_type
+from wbmpc.kernel.ir import BOOL, INT, LANES, MASK, NUM, VEC, Lines, Signature, Type, Value, alignment, llvm_type
 
 
-class Builder:
+class Builder(Lines):
     """One function. ``signatures`` finds the signature of another function of the library by its Python object."""
 
     def __init__(
@@ -30,11 +30,6 @@ class Builder:
 
     def fail(self, node: ast.AST, text: str) -> KernelError:
         return KernelError(f"{self.tree.name}, line {getattr(node, 'lineno', 0)}: {text}: {ast.unparse(node)[:80]}")
-
-    def new(self, text: str) -> str:
-        self.count += 1
-        self.lines.append(f"%v{self.count} = {text}")
-        return f"%v{self.count}"
 
     def label(self) -> str:
         self.count += 1

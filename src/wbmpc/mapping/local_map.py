@@ -91,17 +91,9 @@ class LocalMap:
     """
 
     def __init__(
-        self,
-        robot: RobotModel | None = None,
-        *,
-        size: ArrayLike = (6.0, 6.0, 2.0),
-        cell: float = 0.05,
-        floor: float = 0.08,
-        reach: float = 4.0,
-        padding: float = 0.05,
-        memory: float = 30.0,
-        max_age: float = 0.5,
-    ) -> None:
+        self, robot: RobotModel | None = None, *, size: ArrayLike = (6.0, 6.0, 2.0), cell: float = 0.05,
+        floor: float = 0.08, reach: float = 4.0, padding: float = 0.05, memory: float = 30.0, max_age: float = 0.5,
+    ) -> None:  # fmt: skip
         who, extent = "local map", checks.numbers("local map", "size", size, 3)
         checks.positive(who, cell=cell, reach=reach, memory=memory, max_age=max_age)
         checks.not_negative(who, floor=floor, padding=padding)

@@ -35,13 +35,9 @@ class Limits:
 
 
 def joint_limits(
-    base: Base,
-    description: RobotDescription,
-    groups: Sequence[str],
-    sizes: Mapping[str, float],
-    rates: Mapping[str, float],
-    further: Mapping[str, ArrayLike],
-) -> Limits:
+    base: Base, description: RobotDescription, groups: Sequence[str], sizes: Mapping[str, float],
+    rates: Mapping[str, float], further: Mapping[str, ArrayLike],
+) -> Limits:  # fmt: skip
     """Limits of a base's model from the file's ranges and what the description says instead.
 
     ``groups``: of joints, in state and input alike. ``sizes`` by joint: largest value of its input; ``rates``: how fast that may

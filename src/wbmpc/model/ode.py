@@ -27,16 +27,9 @@ class Ode:
     unit_quaternions: tuple[int, ...] = ()
 
     def __init__(
-        self,
-        state: Groups,
-        inputs: Groups,
-        f: Callable[..., ca.SX],
-        *,
-        parameters: Groups | None = None,
-        mode: Groups | None = None,
-        state_units: Units | None = None,
-        input_units: Units | None = None,
-    ) -> None:
+        self, state: Groups, inputs: Groups, f: Callable[..., ca.SX], *, parameters: Groups | None = None,
+        mode: Groups | None = None, state_units: Units | None = None, input_units: Units | None = None,
+    ) -> None:  # fmt: skip
         self.state, self.input = Layout(state, state_units), Layout(inputs, input_units)
         self.parameters, self.mode = Layout(parameters or {}), Layout(mode or {})
         self.f = f

@@ -167,17 +167,10 @@ def _links_of_body(model: mujoco.MjModel, body: int, parent: int, first: int, is
         data = body_data if last else nothing
         links.append(
             Link(
-                name=name if last else f"{name}.{joint}",
-                parent=parent if k == 0 else first + k - 1,
-                joint=joint,
-                kind=kind,
-                axis=model.jnt_axis[j].copy(),
-                position=position if k == 0 else np.zeros(3),
-                rotation=rotation if k == 0 else np.eye(3),
-                mass=data[0],
-                com=data[1],
-                inertia=data[2],
+                name=name if last else f"{name}.{joint}", parent=parent if k == 0 else first + k - 1, joint=joint,
+                kind=kind, axis=model.jnt_axis[j].copy(), position=position if k == 0 else np.zeros(3),
+                rotation=rotation if k == 0 else np.eye(3), mass=data[0], com=data[1], inertia=data[2],
                 range=(float(low), float(high)) if model.jnt_limited[j] else (-np.inf, np.inf),
             )
-        )
+        )  # fmt: skip
     return links

@@ -12,13 +12,12 @@ from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
 from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
-from wbmpc.mpc.checks import check_events_fit, check_limits, check_settings, check_vector
+from wbmpc.mpc.checks import PlanCheck, check_events_fit, check_limits, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.mpc.described import Described
 from wbmpc.mpc.guess import Bound, Guess, check_found, check_guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.path import PathProgress
-from wbmpc.mpc.plan_check import PlanCheck
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.references import References
 from wbmpc.mpc.statistics import Statistics
@@ -54,16 +53,9 @@ class MPC(Described):
     """
 
     def __init__(
-        self,
-        ocp: OptimalControlProblem,
-        solver: SQP | None = None,
-        rate: float = 50.0,
-        *,
-        first_iterations: int = 30,
-        guess: Guess | None = None,
-        plan_only_limits: bool = False,
-        obstacles: Obstacles | None = None,
-    ) -> None:
+        self, ocp: OptimalControlProblem, solver: SQP | None = None, rate: float = 50.0, *, first_iterations: int = 30,
+        guess: Guess | None = None, plan_only_limits: bool = False, obstacles: Obstacles | None = None,
+    ) -> None:  # fmt: skip
         if real_number("mpc.rate", rate) <= 0.0:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
         if (

@@ -78,14 +78,9 @@ class PathProgress:
 
     # ------------------------------------------------------------------ what is followed
     def follow(
-        self,
-        path: Path,
-        speed: float | Reference,
-        acceleration: float = 1.0,
-        *,
-        start: float | None = 0.0,
+        self, path: Path, speed: float | Reference, acceleration: float = 1.0, *, start: float | None = 0.0,
         along: dict[str, Along] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Follow ``path`` with ``speed`` [m/s] along it where limits and obstacles allow it, from ``start`` [m] of it on (None: from where
         progress is). ``speed`` may be a :class:`wbmpc.Reference` of one number over time; ``acceleration`` [m/s²]: the largest of progress.
 

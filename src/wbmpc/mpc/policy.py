@@ -41,12 +41,9 @@ class InputLimits:
         arrange(plain(lower), plain(upper), plain(self.matrix), plain(self.offset), rows, nu, self.table)
 
     def hold(
-        self,
-        u: np.ndarray,
-        planned: np.ndarray | None = None,
-        active: np.ndarray | None = None,
+        self, u: np.ndarray, planned: np.ndarray | None = None, active: np.ndarray | None = None,
         offset: np.ndarray | None = None,
-    ) -> np.ndarray:
+    ) -> np.ndarray:  # fmt: skip
         """``u`` (nu), cut in place; ``planned`` (nu): without feedback; ``active`` (r): which rows count now (all: left out);
         ``offset`` (r): of the rows now, where they move."""
         from wbmpc.solver.feedback import within

@@ -12,13 +12,10 @@ from wbmpc.arrays import Array
 from wbmpc.obstacles.solids import Solid
 
 _GEOMS = {
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
-}
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID, "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "box": mujoco.mjtGeom.mjGEOM_BOX, "mesh": mujoco.mjtGeom.mjGEOM_MESH,
+}  # fmt: skip
 #: Solids beside the robot's for which there is room from the start.
 _ROOM = 32
 

@@ -28,13 +28,10 @@ from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import file_of, parse
 
 _KINDS = {
-    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
-    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
-    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
-    mujoco.mjtGeom.mjGEOM_BOX: "box",
-    mujoco.mjtGeom.mjGEOM_MESH: "mesh",
-}
+    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere", mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid", mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
+    mujoco.mjtGeom.mjGEOM_BOX: "box", mujoco.mjtGeom.mjGEOM_MESH: "mesh",
+}  # fmt: skip
 #: Directions in which a spinning part is measured: its circle is so found to within 0.01 %.
 _DIRECTIONS = 256
 #: Half sides [m] of the cubes whose balls cover a solid, at most; cylinders up to this radius [m] are covered along their axis.

@@ -15,13 +15,10 @@ from wbmpc.yaml_file import load_yaml
 
 #: Shapes by what a file calls them, and the keys that each needs; the others are optional.
 _SHAPES: dict[str, tuple[type[Any], tuple[str, ...], tuple[str, ...]]] = {
-    "sphere": (Sphere, ("radius",), ("center",)),
-    "capsule": (Capsule, ("a", "b", "radius"), ()),
-    "cylinder": (Cylinder, ("a", "b", "radius"), ()),
-    "box": (Box, ("half",), ("center", "orientation")),
-    "half_space": (HalfSpace, ("normal",), ("offset",)),
-    "convex_mesh": (ConvexMesh, ("vertices",), ()),
-}
+    "sphere": (Sphere, ("radius",), ("center",)), "capsule": (Capsule, ("a", "b", "radius"), ()),
+    "cylinder": (Cylinder, ("a", "b", "radius"), ()), "box": (Box, ("half",), ("center", "orientation")),
+    "half_space": (HalfSpace, ("normal",), ("offset",)), "convex_mesh": (ConvexMesh, ("vertices",), ()),
+}  # fmt: skip
 _PLACES = ("position", "orientation", "velocity", "std", "velocity_std", "ignore")
 #: What only a simulated scene has.
 _SIMULATED = ("appears",)

@@ -96,21 +96,11 @@ class Obstacles:
         self._frames: dict[str, tuple[Array, Array]] = {}
 
     def set(
-        self,
-        name: str,
-        shape: Shape,
-        *,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0),
-        velocity: ArrayLike = (0.0, 0.0, 0.0),
-        std: float = 0.0,
-        velocity_std: float = 0.0,
-        seen: float | None = None,
-        expire: float = np.inf,
-        max_age: float = np.inf,
-        frame: str = WORLD,
-        ignore: Sequence[str] = (),
-    ) -> None:
+        self, name: str, shape: Shape, *, position: ArrayLike = (0.0, 0.0, 0.0),
+        orientation: ArrayLike = (1.0, 0.0, 0.0, 0.0), velocity: ArrayLike = (0.0, 0.0, 0.0), std: float = 0.0,
+        velocity_std: float = 0.0, seen: float | None = None, expire: float = np.inf, max_age: float = np.inf,
+        frame: str = WORLD, ignore: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         """Add an obstacle, or replace the one of that name.
 
         ``shape`` stands at ``position`` (3) [m] and ``orientation`` (4, w, x, y, z) of ``frame`` at time ``seen`` [s] (left out: when the
@@ -145,14 +135,9 @@ class Obstacles:
             self._obstacles[name] = found
 
     def move(
-        self,
-        name: str,
-        position: ArrayLike,
-        orientation: ArrayLike | None = None,
-        *,
-        velocity: ArrayLike = (0.0, 0.0, 0.0),
-        seen: float | None = None,
-    ) -> None:
+        self, name: str, position: ArrayLike, orientation: ArrayLike | None = None, *,
+        velocity: ArrayLike = (0.0, 0.0, 0.0), seen: float | None = None,
+    ) -> None:  # fmt: skip
         """Put an obstacle somewhere else: ``position`` (3) [m], ``orientation`` (4) (left out: as it was), ``velocity`` (3) [m/s], and when
         it was ``seen`` [s]. Its shape, standard deviations and frame stay. Raises :class:`InputError` naming it."""
         _named(name)

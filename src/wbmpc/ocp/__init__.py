@@ -13,22 +13,7 @@ from wbmpc.ocp.terms import Constraint, Cost
 from wbmpc.ocp.transcription import Transcription
 
 __all__ = [
-    "AugmentedLagrangian",
-    "Constraint",
-    "Cost",
-    "Mode",
-    "ModeSchedule",
-    "OptimalControlProblem",
-    "Path",
-    "Quadratic",
-    "Reference",
-    "RelaxedBarrier",
-    "SmoothL1",
-    "Transcription",
-    "add_progress",
-    "frequency_aware",
-    "path_problem",
-    "residuals",
-    "sets",
-    "with_accelerations",
-]
+    "AugmentedLagrangian", "Constraint", "Cost", "Mode", "ModeSchedule", "OptimalControlProblem", "Path", "Quadratic",
+    "Reference", "RelaxedBarrier", "SmoothL1", "Transcription", "add_progress", "frequency_aware", "path_problem",
+    "residuals", "sets", "with_accelerations",
+]  # fmt: skip

@@ -116,12 +116,8 @@ def missed(term: Constraint, r: ca.SX) -> ca.SX:
 
 def equality_rows(
     terms: Sequence[tuple[Constraint, ca.SX, ca.SX | float]],
-    inequalities: Sequence[tuple[Constraint, ca.SX, ca.SX | float]],
-    x: ca.SX,
-    u: ca.SX,
-    path: RowGroup,
-    end: RowGroup,
-) -> Equalities:
+    inequalities: Sequence[tuple[Constraint, ca.SX, ca.SX | float]], x: ca.SX, u: ca.SX, path: RowGroup, end: RowGroup,
+) -> Equalities:  # fmt: skip
     """Sort the rows of equality terms, given as (term, residual, switch), and those that bounds of ``inequalities`` fix."""
     parts, softness, names = [], [], []
     z = ca.vertcat(x, u)
@@ -265,16 +261,10 @@ def _barriers(
 
 
 def _own_rows(
-    term: Constraint,
-    r: ca.SX,
-    switch: ca.SX | float,
-    sides: list[_Side],
-    selection: list[tuple[int, float, float]] | None,
-    with_input: np.ndarray,
-    with_state: np.ndarray,
-    group: RowGroup,
+    term: Constraint, r: ca.SX, switch: ca.SX | float, sides: list[_Side],
+    selection: list[tuple[int, float, float]] | None, with_input: np.ndarray, with_state: np.ndarray, group: RowGroup,
     jacobian: ca.SX,
-) -> None:
+) -> None:  # fmt: skip
     multiplier = isinstance(term.penalty, AugmentedLagrangian)
     held = not isinstance(term.residual, FollowsLastInput)
     kind = Kind.MULTIPLIER if multiplier else Kind.HARD

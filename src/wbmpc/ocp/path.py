@@ -92,12 +92,9 @@ class Path:
 
     @classmethod
     def circle(
-        cls,
-        start: ArrayLike,
-        center: ArrayLike,
-        normal: ArrayLike = (0.0, 0.0, 1.0),
+        cls, start: ArrayLike, center: ArrayLike, normal: ArrayLike = (0.0, 0.0, 1.0),
         quaternion: ArrayLike | None = None,
-    ) -> Path:
+    ) -> Path:  # fmt: skip
         """A closed circle about ``center`` (3) [m] from ``start`` (3) on, counterclockwise seen from the tip of ``normal`` (3), with a
         constant ``quaternion`` (4) (default: the identity)."""
         middle, axis = real_numbers("path, center", center), real_numbers("path, normal", normal)

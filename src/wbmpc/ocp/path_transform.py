@@ -28,13 +28,9 @@ SMOOTH = 0.01
 
 
 def path_problem(
-    ocp: OptimalControlProblem,
-    pose: str = "end_effector",
-    *,
-    frame: str | None = None,
-    share: float = SHARE,
+    ocp: OptimalControlProblem, pose: str = "end_effector", *, frame: str | None = None, share: float = SHARE,
     mu: float = 3e-3,
-) -> OptimalControlProblem:
+) -> OptimalControlProblem:  # fmt: skip
     """The same problem with progress along a path in the place of a clock; ``ocp`` is left as it is.
 
     The cost ``pose``, of a :class:`wbmpc.residuals.FramePose`, becomes ``contour``: the weights [1/m²] of its positions are those of

@@ -53,17 +53,10 @@ class OptimalControlProblem:
     """
 
     def __init__(
-        self,
-        dynamics: SystemDynamics,
-        horizon: float,
-        intervals: int,
-        *,
-        first_interval: float | None = None,
-        grid: Sequence[float] | None = None,
-        integrator: Literal["rk2", "rk4"] = "rk2",
-        align_events: bool = False,
+        self, dynamics: SystemDynamics, horizon: float, intervals: int, *, first_interval: float | None = None,
+        grid: Sequence[float] | None = None, integrator: Literal["rk2", "rk4"] = "rk2", align_events: bool = False,
         modes: Sequence[str] = (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         if integrator not in ("rk2", "rk4"):
             raise unknown_name("integrator", integrator, ("rk2", "rk4"))
         _check_dynamics(dynamics)

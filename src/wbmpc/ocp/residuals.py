@@ -24,35 +24,11 @@ from wbmpc.ocp.path_residuals import Contour, PathAcceleration, Progress
 from wbmpc.ocp.symbols import Residual, Symbols
 
 __all__ = [
-    "AccelerationLimit",
-    "Clearance",
-    "Contour",
-    "Expression",
-    "FloorClearance",
-    "FramePose",
-    "FrameTwist",
-    "FrameWrench",
-    "FrictionCone",
-    "Input",
-    "Limits",
-    "LockedJoints",
-    "PathAcceleration",
-    "ProblemInput",
-    "Progress",
-    "PushForce",
-    "RelativeMotion",
-    "RelativePose",
-    "Residual",
-    "Rolling",
-    "SelfClearance",
-    "State",
-    "SupportMargin",
-    "Symbols",
-    "TireFriction",
-    "Upright",
-    "WheelLoads",
-    "push_on_surface",
-]
+    "AccelerationLimit", "Clearance", "Contour", "Expression", "FloorClearance", "FramePose", "FrameTwist",
+    "FrameWrench", "FrictionCone", "Input", "Limits", "LockedJoints", "PathAcceleration", "ProblemInput", "Progress",
+    "PushForce", "RelativeMotion", "RelativePose", "Residual", "Rolling", "SelfClearance", "State", "SupportMargin",
+    "Symbols", "TireFriction", "Upright", "WheelLoads", "push_on_surface",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

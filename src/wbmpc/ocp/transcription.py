@@ -302,14 +302,11 @@ class Transcription:
         f = self.ocp.dynamics(self.x, self.u, self.symbols("").parameters, self._mode())
         make = lambda name, inputs, out: ca.Function(name, inputs, ca.cse([ca.densify(ca.SX(out))]))
         return {
-            "dynamics": make("dynamics", args, f),
-            "cost": make("cost", args, self._value("path")),
-            "equality": make("equality", args, self.equality),
-            "rows": make("rows", args, self.path.expression()),
+            "dynamics": make("dynamics", args, f), "cost": make("cost", args, self._value("path")),
+            "equality": make("equality", args, self.equality), "rows": make("rows", args, self.path.expression()),
             "terminal": make("terminal", end, self._value("terminal")),
-            "end_rows": make("end_rows", end, self.end.expression()),
-            "jump": make("jump", end, self.jump),
-        }
+            "end_rows": make("end_rows", end, self.end.expression()), "jump": make("jump", end, self.jump),
+        }  # fmt: skip
 
     @cached_property
     def derivatives(self) -> dict[str, ca.Function]:

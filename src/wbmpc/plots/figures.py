@@ -165,13 +165,10 @@ def plotly_figure(plot: Plot) -> dict[str, Any]:
         signal = _signal(line)
         data.append(
             {
-                **row,
-                "mode": "lines",
-                "line": style,
-                "legendgroup": html.escape(signal),
+                **row, "mode": "lines", "line": style, "legendgroup": html.escape(signal),
                 "showlegend": signal not in shown,
             }
-        )
+        )  # fmt: skip
         shown.add(signal)
     return {"data": data + list(_limit_lines(plot, colors)), "layout": _layout(plot)}
 

@@ -17,12 +17,9 @@ _TEXTS = ("/robot_description",)
 
 
 def export(
-    recording: Recording,
-    form: str,
-    directory: Path,
-    topics: Sequence[str] = (),
+    recording: Recording, form: str, directory: Path, topics: Sequence[str] = (),
     check: Callable[[list[Path]], None] = lambda paths: None,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Write ``topics`` (all when left out) as ``form``: csv or parquet, a file each; npz, one archive. Returns the files.
 
     ``check`` is reported the files before any is written, and may reject.

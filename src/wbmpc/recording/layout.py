@@ -60,13 +60,9 @@ def _picture(recording: Recording) -> dict[str, Any]:
             "topic": "/robot_description", "framePrefix": "", "displayMode": "auto",
         }  # fmt: skip
     camera = {
-        "perspective": True,
-        "distance": 5,
-        "phi": 65,
-        "thetaOffset": 45,
-        "target": [0, 0, 0],
+        "perspective": True, "distance": 5, "phi": 65, "thetaOffset": 45, "target": [0, 0, 0],
         "targetOffset": [0, 0, 0.4],
-    }
+    }  # fmt: skip
     hidden = {"showLabel": False, "axisSize": 0, "lineWidth": 0}
     return {
         TITLE: "Robot",

@@ -21,11 +21,9 @@ _QUANTITIES = {
 def overview(recording: Recording) -> list[Plot]:
     """End effector, joints, commands, contact forces and solve times: whatever of them was recorded."""
     drawn = [
-        _end_effector_path(recording),
-        _end_effector_error(recording),
-        *_joint_speeds(recording),
+        _end_effector_path(recording), _end_effector_error(recording), *_joint_speeds(recording),
         _solve_times(recording),
-    ]
+    ]  # fmt: skip
     plots = [p for p in drawn if p is not None]
     plots += [p for name in _under(recording, "/command/") for p in _columns(recording, name, f"Command: {name[9:]}")]
     forces = [(name, recording.table(name)) for name in _under(recording, "/contact/")]

@@ -22,8 +22,8 @@ from wbmpc.plots.motion import Motion, picture_points
 from wbmpc.recording.messages import Message
 from wbmpc.recording.observer import Moment, Observer
 from wbmpc.recording.quantities import JOINT_UNITS
-from wbmpc.recording.template import Template, Topics
-from wbmpc.recording.writer import LIMIT, McapFile, stamp
+from wbmpc.recording.template import Template
+from wbmpc.recording.writer import LIMIT, McapFile, nanoseconds, stamp
 from wbmpc.robots.frames import MAP, ODOM, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.simulation.lockstep import Ending, Running
@@ -54,9 +54,6 @@ class Recorder:
         self.motion = Motion()
         self._start = self._last = 0.0
         self._templates: dict[Any, Template] = {}
-        self._topics: dict[Any, Topics] = {}
-        #: messages of this tick: topic, type, key, numbers and what makes one like it
-        self._due: list[tuple[str, str, Any, Array, Callable[[], Message]]] = []
         self._scene: Scene | None = None
 
     # ------------------------------------------------------------------ the loop
@@ -88,8 +85,6 @@ class Recorder:
         every = lambda rate: max(1, round(1.0 / (rate * running.timing.period)))
         self._every = {"states": every(STATES), "links": every(LINKS), "plans": every(PLANS)}
         self._templates.clear()
-        self._topics.clear()
-        self._due.clear()
         if self.file is not None:
             self._start = self._last = self._last + PAUSE
             self._begin_loop(scene)
@@ -139,7 +134,6 @@ class Recorder:
             paths = self._plans(plans)
             if self.motion.due(t):
                 self._picture(t, moment, paths)
-        self._write()
 
     def end(self, ending: Ending) -> None:
         """Note how the loop ended; more loops may follow."""
@@ -158,33 +152,15 @@ class Recorder:
     # ------------------------------------------------------------------ parts
     def _put(self, topic: str, kind: str, message: Message, latched: bool = False) -> None:
         assert self.file is not None
-        self._write()
         self.file.put(topic, kind, self._last, message, latched=latched)
 
     def _fill(self, topic: str, kind: str, key: Any, values: Array, make: Callable[[], Message]) -> None:
-        """Queue a message of this tick. While ``key`` is the same, only its time and float64 numbers change; ``make`` builds a template."""
-        self._due.append((topic, kind, key, values, make))
-
-    def _write(self) -> None:
-        """Write the pending messages of this tick as one row: writing them one by one would double the time of a recording."""
-        if not self._due:
-            return
+        """Write a message. While ``key`` is the same, only its time and float64 numbers change; ``make`` builds a template."""
         assert self.file is not None
-        due, self._due = self._due, []
-        alike = tuple([(topic, key) for topic, _, key, _, _ in due])
-        topics = self._topics.get(alike)
-        if topics is None:
-            topics = Topics(
-                [(topic, kind, self._template(topic, kind, key, make)) for topic, kind, key, _, make in due]
-            )
-            self._topics[alike] = topics
-        self.file.put_row(self._last, topics, topics.row([values for _, _, _, values, _ in due]))
-
-    def _template(self, topic: str, kind: str, key: Any, make: Callable[[], Message]) -> Template:
         template = self._templates.get((topic, key))
         if template is None:
             template = self._templates[topic, key] = Template(kind, make())
-        return template
+        self.file.put_bytes(topic, kind, self._last, template.fill(nanoseconds(self._last), values))
 
     def _header(self, frame: str) -> dict[str, Any]:
         return {"stamp": stamp(self._last), "frame_id": frame}
@@ -221,7 +197,7 @@ class Recorder:
             self._pose("/end_effector/reference", ODOM, goal)
 
     def _odometry_message(self, pose: Array) -> None:
-        """Queue the odometry; its twist is the difference of the last two estimates, in axes of the base."""
+        """Write the odometry; its twist is the difference of the last two estimates, in axes of the base."""
         twist = np.zeros(6)
         if self._odometry is not None and self._last > self._odometry[0]:
             moved = lie.pose_between(self._odometry[1], pose)

@@ -8,13 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 
 from wbmpc import __version__
 from wbmpc.recording.messages import Message, encode, full_name, schema
-from wbmpc.recording.quick_writer import QuickWriter
-from wbmpc.recording.template import Topics
 
 #: Bytes of a chunk before compression: what a killed run loses at most.
 CHUNK = 128 * 1024
@@ -54,16 +51,12 @@ class McapFile:
 
     def _open(self) -> None:
         self._file = self.path.open("wb")
-        self._writer = QuickWriter(
-            self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
-        )
+        self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library=f"wbmpc {__version__}")
         self._size = 0  # of the file, as of its last chunk
-        self._chunks = self._writer.chunks
         self._time, self._now = -math.inf, 0  # of the last message [s], and in nanoseconds
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
-        self._together: dict[Topics, list[int]] = {}
         self._end = self._half  # from which size on the next file begins
 
     def _rotate(self, t: float) -> None:
@@ -100,17 +93,6 @@ class McapFile:
                 return
         self._append(topic, kind, t, data, latched)
 
-    def put_row(self, t: float, topics: Topics, row: np.ndarray) -> None:
-        """Append the messages of ``topics`` at time ``t`` [s], with the ``row`` of their numbers."""
-        if self._size > self._end:
-            self._rotate(t)
-        channels = self._together.get(topics)
-        if channels is None:
-            channels = [self._channel(topic, kind, False) for topic, kind, _ in topics.parts]
-            self._together[topics] = channels
-        self._writer.add_row(channels, self._at(t), topics, row)
-        self._flush_chunk()
-
     def _append(self, topic: str, kind: str, t: float, data: bytes, latched: bool) -> None:
         now = self._at(t)
         self._writer.add_message(self._channel(topic, kind, latched), now, data, now)
@@ -123,9 +105,8 @@ class McapFile:
         return self._now
 
     def _flush_chunk(self) -> None:
-        """A chunk that is full goes to the system."""
-        if self._chunks is None or self._writer.chunks != self._chunks:
-            self._chunks = self._writer.chunks
+        """A chunk that is full has gone to the file, and goes to the system."""
+        if self._file.tell() != self._size:
             self._flush()
 
     def _flush(self) -> None:

@@ -73,14 +73,10 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
         for n, m in result.metrics.items()
     }
     more = {
-        "targets": targets,
-        "settings": plain(result.settings),
-        "idealisations": result.idealizations,
-        "faults": result.faults,
-        "versions": versions(),
-        "command": result.command,
+        "targets": targets, "settings": plain(result.settings), "idealisations": result.idealizations,
+        "faults": result.faults, "versions": versions(), "command": result.command,
         "wall_time": plain(result.wall_time),
-    }
+    }  # fmt: skip
     text = json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n"
     try:
         _make(directory)

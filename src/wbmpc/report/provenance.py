@@ -17,12 +17,9 @@ PACKAGE = Path(__file__).parents[1]
 def versions() -> dict[str, str]:
     """What ran: versions of this library and of what it stands on, and the processor."""
     out = {
-        "wbmpc": __version__,
-        "commit": commit(),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
+        "wbmpc": __version__, "commit": commit(), "python": platform.python_version(), "machine": platform.machine(),
         "cpu": _processor(),
-    }
+    }  # fmt: skip
     for name in ("casadi", "mujoco", "llvmlite", "numpy", "scipy"):
         try:
             out[name] = version(name)
@@ -40,14 +37,11 @@ def commit() -> str:
     try:
         revision, changed = (
             subprocess.run(
-                ["git", "--no-optional-locks", "-C", str(PACKAGE), *words],
-                capture_output=True,
-                text=True,
-                check=True,
+                ["git", "--no-optional-locks", "-C", str(PACKAGE), *words], capture_output=True, text=True, check=True,
                 timeout=10,
             ).stdout.strip()
             for words in (("rev-parse", "--short=10", "HEAD"), ("status", "--porcelain", "--untracked-files=no", "."))
-        )
+        )  # fmt: skip
         tracked = subprocess.run(
             ["git", "--no-optional-locks", "-C", str(PACKAGE), "ls-files", "--error-unmatch", "__init__.py"],
             capture_output=True,

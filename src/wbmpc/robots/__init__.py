@@ -11,10 +11,5 @@ from wbmpc.robots.description import (
 )
 
 __all__ = [
-    "ArmDescription",
-    "LimitsDescription",
-    "RobotDescription",
-    "available_robots",
-    "load_description",
-    "load_spec",
-]
+    "ArmDescription", "LimitsDescription", "RobotDescription", "available_robots", "load_description", "load_spec",
+]  # fmt: skip

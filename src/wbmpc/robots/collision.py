@@ -22,11 +22,9 @@ Pair = tuple[str, str]
 _Auto = BeforeValidator(lambda value: None if value == "auto" else value)
 #: Keys of each kind of shape.
 _NEEDED: dict[str, tuple[str, ...]] = {
-    "sphere": ("radius", "center"),
-    "capsule": ("radius", "a", "b"),
-    "cylinder": ("radius", "a", "b"),
+    "sphere": ("radius", "center"), "capsule": ("radius", "a", "b"), "cylinder": ("radius", "a", "b"),
     "box": ("half", "center"),
-}
+}  # fmt: skip
 
 
 class ShapeDescription(Section):

@@ -68,13 +68,9 @@ def couple(spec: mujoco.MjSpec, couplings: Mapping[str, Coupling], source: str) 
         data = np.zeros(mujoco.mjNEQDATA)
         data[:2] = c.offset, c.ratio
         spec.add_equality(
-            type=mujoco.mjtEq.mjEQ_JOINT,
-            name1=follower,
-            name2=c.joint,
-            data=data,
-            solref=STIFF,
+            type=mujoco.mjtEq.mjEQ_JOINT, name1=follower, name2=c.joint, data=data, solref=STIFF,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
-        )
+        )  # fmt: skip
 
 
 def limits_of_leaders(description: RobotDescription, spec: mujoco.MjSpec) -> LimitsDescription:

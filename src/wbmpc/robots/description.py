@@ -285,15 +285,11 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
     joints = [j.name for j in spec.joints]
     limits = description.limits
     used = {
-        "arm.joints": list(description.arm.joints),
-        f"base.{description.base.joint_key}": description.base.joints(),
-        "home": list(description.home),
-        "limits.velocity": list(limits.velocity),
-        "limits.actuator_velocity": list(limits.actuator_velocity),
-        "limits.acceleration": list(limits.acceleration),
-        "limits.effort": list(limits.effort),
-        "limits.position": list(limits.position),
-    }
+        "arm.joints": list(description.arm.joints), f"base.{description.base.joint_key}": description.base.joints(),
+        "home": list(description.home), "limits.velocity": list(limits.velocity),
+        "limits.actuator_velocity": list(limits.actuator_velocity), "limits.acceleration": list(limits.acceleration),
+        "limits.effort": list(limits.effort), "limits.position": list(limits.position),
+    }  # fmt: skip
     for key, names in used.items():
         for name in names:
             if name not in joints:

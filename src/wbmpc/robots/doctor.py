@@ -123,21 +123,15 @@ def _bases(subject: Subject) -> Iterator[Finding]:
     for name, proposal in proposals.items():
         if proposal.fit >= 0.5:
             yield Finding(
-                "info",
-                "base",
-                f"base type {name}",
-                f"it fits: {proposal.reason}",
+                "info", "base", f"base type {name}", f"it fits: {proposal.reason}",
                 f"wbmpc new {subject.mechanism.file.path} --base {name}",
-            )
+            )  # fmt: skip
     if subject.driven and not any(p.fit >= 0.5 for p in proposals.values()):
         names = ", ".join(f"'{w.joint}'" for w in subject.driven[:4])
         yield Finding(
-            "warning",
-            "base",
-            "",
-            f"no base type describes its wheels ({names})",
+            "warning", "base", "", f"no base type describes its wheels ({names})",
             f"valid: {', '.join(available_base_types())}",
-        )
+        )  # fmt: skip
 
 
 def propose_bases(subject: Subject) -> dict[str, Proposal]:

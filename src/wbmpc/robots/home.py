@@ -32,14 +32,9 @@ class Home:
 
 
 def find_home(
-    mechanism: Mechanism,
-    joints: tuple[str, ...],
-    tool: str,
-    held: dict[str, float],
-    height: float | None,
-    forward: Array,
-    seed: int = 0,
-) -> Home:
+    mechanism: Mechanism, joints: tuple[str, ...], tool: str, held: dict[str, float], height: float | None,
+    forward: Array, seed: int = 0,
+) -> Home:  # fmt: skip
     """The best of random postures of ``joints`` with the others ``held``: manipulability, the tool ahead (along ``forward`` (2)) and at
     ``height`` [m] (None: wherever), away from the ends of ranges and without collision of the file's shapes."""
     search = _Search(mechanism, joints, tool, held)

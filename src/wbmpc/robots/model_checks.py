@@ -13,9 +13,9 @@ from wbmpc.robots.arm_search import TOOLS, find_arms, is_gripper
 from wbmpc.robots.findings import Finding, Severity
 from wbmpc.robots.mechanism import Joint, Mechanism
 from wbmpc.robots.model_file import MESHES
-from wbmpc.robots.packages import package_of
 from wbmpc.robots.steadiness import tipping_share
 from wbmpc.robots.wheel_search import Wheel, find_wheels
+from wbmpc.robots.xacro_file import package_of
 
 if TYPE_CHECKING:
     from wbmpc.robots.description import RobotDescription
@@ -110,12 +110,9 @@ def check_world(subject: Subject) -> Iterator[Finding]:
     root = subject.mechanism.file.root
     if root is not None and any(link.get("name") == "world" for link in root.findall("link")):
         yield Finding(
-            "info",
-            "",
-            "link 'world'",
-            "it is MuJoCo's world, which does not move",
+            "info", "", "link 'world'", "it is MuJoCo's world, which does not move",
             "'base.body' of a base that moves is a link on it",
-        )
+        )  # fmt: skip
 
 
 def check_body(subject: Subject) -> Iterator[Finding]:
@@ -141,12 +138,9 @@ def check_names(subject: Subject) -> Iterator[Finding]:
     for j in range(m.njnt):
         if not m.joint(j).name and m.jnt_type[j] >= 2:
             yield Finding(
-                "warning",
-                "",
-                f"body '{m.body(int(m.jnt_bodyid[j])).name}'",
-                "a joint of it has no name",
+                "warning", "", f"body '{m.body(int(m.jnt_bodyid[j])).name}'", "a joint of it has no name",
                 "give it one in the file",
-            )
+            )  # fmt: skip
 
 
 def check_kinds(subject: Subject) -> Iterator[Finding]:
@@ -192,12 +186,9 @@ def check_ranges(subject: Subject) -> Iterator[Finding]:
             )
             severity: Severity = "error" if used else "info"
             yield Finding(
-                severity,
-                "",
-                f"joint '{joint.name}'",
-                "its range is empty (lower is not below upper): it cannot move",
+                severity, "", f"joint '{joint.name}'", "its range is empty (lower is not below upper): it cannot move",
                 fix,
-            )
+            )  # fmt: skip
 
 
 def check_mimics(subject: Subject) -> Iterator[Finding]:
@@ -305,12 +296,9 @@ def check_casters(subject: Subject) -> Iterator[Finding]:
     names = sorted({n for w in passive for n in (w.joint, w.steer) if n})
     hold = ", ".join(f"{n}: 0" for n in names)
     yield Finding(
-        "info",
-        "",
-        _joints(names),
-        "they look like passive casters; the simulator adds casters of its own",
+        "info", "", _joints(names), "they look like passive casters; the simulator adds casters of its own",
         f"'fixed_joints: {{{hold}}}'",
-    )
+    )  # fmt: skip
     floor, low = _bottoms(subject.rolling), _bottoms(passive)
     if floor and low and abs(min(low) - min(floor)) < LEVEL:
         yield Finding(

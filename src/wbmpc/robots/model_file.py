@@ -21,10 +21,9 @@ from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
 from wbmpc.robots.file_limits import LARGEST, LARGEST_MESH, check_size
 from wbmpc.robots.limited_program import drop_missing_files
-from wbmpc.robots.packages import find_package, locate, package_of
 from wbmpc.robots.trial import try_model
 from wbmpc.robots.urdf_tree import check_tree
-from wbmpc.robots.xacro_file import expand, has_macros
+from wbmpc.robots.xacro_file import expand, find_package, has_macros, locate, package_of
 from wbmpc.robots.xml_text import tokens
 
 if TYPE_CHECKING:

@@ -124,10 +124,8 @@ def reject_couplings(spec: mujoco.MjSpec, description: RobotDescription) -> None
     Before joints are locked: a coupling of fingers that are all held does nothing. Raises :class:`InputError` with file and joint.
     """
     used, own, path = (
-        {*description.joints(), *description.couple},
-        set(description.base.parts().values()),
-        description.model,
-    )
+        {*description.joints(), *description.couple}, set(description.base.parts().values()), description.model,
+    )  # fmt: skip
     known = [{follower, c.joint} for follower, c in description.couple.items()]
     for joint in spec.joints:
         sprung = np.any(joint.stiffness) or np.any(joint.springdamper)

@@ -70,7 +70,7 @@ def check_radii(description: RobotDescription, model: mujoco.MjModel) -> None:
     """Raise :class:`InputError` naming both figures where the shapes of a wheel, or of a body that is a ball, have another
     radius than the description.
 
-    A wheel without round shapes about its axis, of meshes that cannot be read (see :func:`wbmpc.robots.mesh_points.mesh_points`), or of
+    A wheel without round shapes about its axis, of meshes that cannot be read (see :func:`mesh_points`), or of
     several bodies (whose tire may be another one) cannot be checked.
     """
     for radius in description.base.radii():

@@ -114,13 +114,9 @@ def _suspends(joint: Joint) -> bool:
 
 
 def _record(
-    mechanism: Mechanism,
-    joint: Joint,
-    hinges: list[Joint],
-    legs: list[Joint],
-    suspension: list[str],
+    mechanism: Mechanism, joint: Joint, hinges: list[Joint], legs: list[Joint], suspension: list[str],
     rollers: list[str],
-) -> Wheel:
+) -> Wheel:  # fmt: skip
     center = mechanism.data.xpos[mechanism.model.body(joint.body).id].copy()
     drawn = radius_of(mechanism.file, mechanism.model, joint.name)
     height = float(center[2])

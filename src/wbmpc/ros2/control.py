@@ -19,12 +19,11 @@ from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.commanders import LINGERS, Commanders
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.external_pose import ExternalPose
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
 from wbmpc.ros2.interpreter import TURNS, control_priority, real_time_interpreter
 from wbmpc.ros2.leg_control import LegControl
-from wbmpc.ros2.localization import POSE_AGE, PoseSource
+from wbmpc.ros2.localization import POSE_AGE, ExternalPose, PoseSource
 from wbmpc.ros2.obstacles import ObstacleTopics
 from wbmpc.ros2.planning import Planned, Planning, References
 from wbmpc.ros2.publishers import Publishers

@@ -70,7 +70,8 @@ class JointReader:
         self._known = set(self.names)
         self._speed = np.concatenate([settings.joint_speeds(robot, g) for g, names in groups.items() if names])
         self._order: tuple[list[str], np.ndarray] | None = None
-        self._last: tuple[float, np.ndarray, float] | None = None  # stamp [s], positions, when it came [s]
+        #: the message that the next one is compared with: stamp [s], positions, when it came [s]
+        self.last: tuple[float, np.ndarray, float] | None = None
         self._confirmed = confirmed
         self._doubted: tuple[float, np.ndarray] | None = None
         self._gap = settings.safety.watchdog
@@ -90,7 +91,7 @@ class JointReader:
             raise NotFinite(f"joint states: the position of '{self.names[bad[0]]}' is not finite")
         check_numbers(values, "joint states")
         self._check_motion(stamp, values, now)
-        self._last, self._doubted = (stamp, values, now), None
+        self.last, self._doubted = (stamp, values, now), None
         groups, start = {}, 0
         for group, names in self.groups.items():
             groups[group] = values[start : start + len(names)]
@@ -109,16 +110,7 @@ class JointReader:
 
     def reset(self) -> None:
         """The next message may be anywhere and at any time."""
-        self._last = None
-
-    @property
-    def last(self) -> tuple[float, np.ndarray, float] | None:
-        """The message that the next one is compared with."""
-        return self._last
-
-    def take_back(self, last: tuple[float, np.ndarray, float] | None) -> None:
-        """The newest message does not count: the next one is compared with the ``last`` before it."""
-        self._last = last
+        self.last = None
 
     def _places(self, names: list[str]) -> np.ndarray:
         missing = [n for n in self.names if n not in names]
@@ -136,11 +128,11 @@ class JointReader:
         return np.array([names.index(n) for n in self.names])
 
     def _check_motion(self, stamp: float, values: np.ndarray, now: float) -> None:
-        if self._last is None:
+        if self.last is None:
             return
-        interval, moved = stamp - self._last[0], np.abs(values - self._last[1])
+        interval, moved = stamp - self.last[0], np.abs(values - self.last[1])
         # a stamp far ahead is no time in which joints could move
-        passed = min(interval, max(now - self._last[2], 0.0) + self._gap)
+        passed = min(interval, max(now - self.last[2], 0.0) + self._gap)
         far = moved - (SPEED_FACTOR * self._speed * passed + SPEED_REST)
         doubted, self._doubted = self._doubted, (stamp, values)
         # what only overtook others on its way is no clock that was set back

@@ -36,14 +36,9 @@ class MultiTypeSubscriber:
         for kind in kinds:
             try:
                 self._ends[kind] = self._node.subscribe(
-                    self._topic,
-                    kind,
-                    self._takes[kind],
-                    SENSOR,
-                    others=tuple(self._takes),
-                    largest=SMALL,
+                    self._topic, kind, self._takes[kind], SENSOR, others=tuple(self._takes), largest=SMALL,
                     sourced=self._sourced,
-                )
+                )  # fmt: skip
             except Exception as error:
                 fault = f"{self._topic}: {kind} is not heard beside {', '.join(self._ends)}: {error_message(error)}"
         if fault and fault != self.fault:

@@ -63,11 +63,9 @@ def rejections(controller: ControlNode) -> dict[str, str]:
     c = controller
     leg_commands = c.legs.rejected if c.legs is not None else ""
     reasons = {
-        "rejected": c.request_queue.rejected,
-        "rejected command for the legs": leg_commands,
-        "rejected pose": c.source.fault,
-        "rejected obstacles": c.obstacles.fault,
-    }
+        "rejected": c.request_queue.rejected, "rejected command for the legs": leg_commands,
+        "rejected pose": c.source.fault, "rejected obstacles": c.obstacles.fault,
+    }  # fmt: skip
     reasons["legs stopped short"] = c.legs.short if c.legs is not None else ""
     reasons["limited speed"] = c.request_queue.limited
     return {key: why for key, why in reasons.items() if why}
@@ -168,10 +166,8 @@ class Publishers:
         self._parts = _part_frames(controller.robot.description, controller.settings)
         rates = controller.settings.rates
         self._due = {
-            "odom": [0.0, 1.0 / rates.odom],
-            "plan": [0.0, 1.0 / rates.plan],
-            "say": [0.0, 1.0 / rates.diagnostics],
-        }
+            "odom": [0.0, 1.0 / rates.odom], "plan": [0.0, 1.0 / rates.plan], "say": [0.0, 1.0 / rates.diagnostics],
+        }  # fmt: skip
         self._published: tuple[str, ...] = ()
         self._published_at = -np.inf
 

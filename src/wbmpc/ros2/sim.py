@@ -58,16 +58,9 @@ class SimNode:
     """
 
     def __init__(
-        self,
-        node: Node,
-        robot: RobotModel,
-        settings: RosSettings,
-        seed: int = 0,
-        perturbation: Perturbation | None = None,
-        *,
-        rate: float = CONTROL_RATE,
-        factor: float = 1.0,
-    ) -> None:
+        self, node: Node, robot: RobotModel, settings: RosSettings, seed: int = 0,
+        perturbation: Perturbation | None = None, *, rate: float = CONTROL_RATE, factor: float = 1.0,
+    ) -> None:  # fmt: skip
         self.node, self.robot, self.settings = node, robot, settings
         self._limit = RateLimit()
         self.side = plant_of(robot, perturbation, seed)

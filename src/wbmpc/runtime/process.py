@@ -20,14 +20,9 @@ _READY = 60.0
 
 
 def start_process(
-    make: Callable[[], MPC],
-    observations: Mailbox,
-    policies: Mailbox,
-    board: Board,
-    worker_commands: Board,
-    offset: float,
-    setup: Callable[[], None] | None,
-) -> BaseProcess:
+    make: Callable[[], MPC], observations: Mailbox, policies: Mailbox, board: Board, worker_commands: Board,
+    offset: float, setup: Callable[[], None] | None,
+) -> BaseProcess:  # fmt: skip
     """Begin a process that serves an MPC, see :func:`wbmpc.runtime.worker.serve`."""
     arguments = (make, observations, policies, board, worker_commands, offset, setup)
     context = multiprocessing.get_context("spawn")

@@ -67,18 +67,11 @@ class RealTimeRunner(StopControl):
     """
 
     def __init__(
-        self,
-        robot: RobotInterface[M, C],
-        controller: Controller[M, C],
-        mpc: MPC | Callable[[], MPC],
-        settings: RealTimeSettings | None = None,
-        clock: Clock | None = None,
-        *,
-        sizes: Sizes | None = None,
-        parameters: Callable[[], np.ndarray] | None = None,
-        setup: Callable[[], None] | None = None,
+        self, robot: RobotInterface[M, C], controller: Controller[M, C], mpc: MPC | Callable[[], MPC],
+        settings: RealTimeSettings | None = None, clock: Clock | None = None, *, sizes: Sizes | None = None,
+        parameters: Callable[[], np.ndarray] | None = None, setup: Callable[[], None] | None = None,
         watch: Callable[[float, float, PolicyQueue], None] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(robot, settings or RealTimeSettings(), clock or WallClock())
         self.controller, self.mpc, self.parameters, self.watch = controller, mpc, parameters, watch
         self.remote, self.setup = not hasattr(mpc, "solver"), setup

@@ -20,18 +20,9 @@ from wbmpc.types import Observation
 
 #: What the worker counts, and its records [s].
 NUMBERS = (
-    "ready",
-    "updates",
-    "misses",
-    "skipped",
-    "failures",
-    "repeated",
-    "failed",
-    "limit_violations",
-    "worst_limit_violation",
-    "initial_state_mismatches",
-    "worst_initial_state_mismatch",
-)
+    "ready", "updates", "misses", "skipped", "failures", "repeated", "failed", "limit_violations",
+    "worst_limit_violation", "initial_state_mismatches", "worst_initial_state_mismatch",
+)  # fmt: skip
 RECORDS = ("solve_time", "update_time")
 #: What the runner sends to the worker: when 0 is, whether to begin and to end.
 WORKER_COMMANDS = ("origin", "begin", "end")
@@ -45,15 +36,9 @@ class Worker:
     """
 
     def __init__(
-        self,
-        mpc: MPC,
-        observations: Mailbox,
-        policies: Mailbox,
-        board: Board,
-        worker_commands: Board,
-        clock: Clock,
+        self, mpc: MPC, observations: Mailbox, policies: Mailbox, board: Board, worker_commands: Board, clock: Clock,
         offset: float,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.mpc, self.observations, self.policies = mpc, observations, policies
         self.board, self.worker_commands, self.clock = board, worker_commands, clock
         self.ticker = Ticker(mpc.period, offset)
@@ -198,14 +183,9 @@ def end_with_parent() -> None:
 
 
 def serve(
-    make: Callable[[], MPC],
-    observations: Mailbox,
-    policies: Mailbox,
-    board: Board,
-    worker_commands: Board,
-    offset: float,
-    setup: Callable[[], None] | None,
-) -> None:
+    make: Callable[[], MPC], observations: Mailbox, policies: Mailbox, board: Board, worker_commands: Board,
+    offset: float, setup: Callable[[], None] | None,
+) -> None:  # fmt: skip
     """A worker in a process of its own, by the wall clock, as long as the process that started it is there."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for the parent, which ends this process

@@ -6,7 +6,7 @@ the weight off what carries the robot).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import mujoco
@@ -14,12 +14,13 @@ import numpy as np
 
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.step import bind
-from wbmpc.robots import RobotDescription
+from wbmpc.robots import RobotDescription, load_spec
+from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import followers, put_followers
 from wbmpc.simulation.compilation import step
 from wbmpc.simulation.payloads import PAYLOAD, add_payload
 from wbmpc.simulation.perturbation import ArmPerturbation, PlantSample
-from wbmpc.simulation.world import Array, WorldAccess, add_drive
+from wbmpc.simulation.world import Array, World, WorldAccess, add_drive
 from wbmpc.types import Edit
 
 
@@ -58,8 +59,8 @@ def span(index: Array) -> slice | Array:
 
 
 class ArmPlant(WorldAccess):
-    """Subclasses set ``description``, ``timestep``, ``perturbation``, ``draw`` and ``_names``, the joints by group ("arm" among them), before
-    they build; ``model`` and ``data`` before :meth:`index`."""
+    """Subclasses set ``description``, ``timestep``, ``perturbation`` and ``_names``, the joints by group ("arm" among them), before
+    :meth:`make_world`."""
 
     description: RobotDescription
     timestep: float
@@ -72,6 +73,24 @@ class ArmPlant(WorldAccess):
     _last: Any
 
     # ------------------------------------------------------------------ building
+    def make_world(self, seed: int, wheels: int, edit: Edit | None, speeds: Mapping[str, float]) -> None:
+        """The perturbed world with all ``_names``: :meth:`build` says what is in it. ``wheels``: modules or wheels with errors of their own;
+        ``speeds`` [rad/s] of drives by joint, where they are limited."""
+        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+        spec = load_spec(self.description, meshes=True)
+        bodies = [b.name for b in spec.bodies if b.name != "world"]
+        self.draw = self.perturbation.draw(draw_rng, bodies, wheels, len(self._names["arm"]))
+        with named(self.description.model):
+            self.build(spec, edit)
+        names = [n for group in self._names.values() for n in group]
+        self.world = World(spec, self.description, names, {n: speeds.get(n, np.inf) for n in names})
+        self.model, self.data = self.world.model, self.world.data
+        self.index()
+
+    def build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
+        """Put floor, drives and sensors into a specification, then :meth:`finish` it."""
+        raise NotImplementedError
+
     def finish(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         """The arm's servos, and what the perturbation adds."""
         for name, lag in zip(self._names["arm"], self.draw.arm_lag, strict=True):

@@ -187,12 +187,9 @@ def _running(plant: Plant[Any, Any], controller: Controller | None, *rest: Any) 
 
 @contextmanager
 def watched(
-    plant: Plant[Any, Any],
-    period: float,
-    duration: float,
-    progress: Progress | None,
+    plant: Plant[Any, Any], period: float, duration: float, progress: Progress | None,
     controller: Controller | None = None,
-) -> Iterator[Callable[[float, Any], None]]:
+) -> Iterator[Callable[[float, Any], None]]:  # fmt: skip
     """For experiments that step a plant themselves: its watchers see this loop as they see :func:`run_lockstep`'s.
 
     Gives ``tick(t, command)``, to be called every ``period`` [s], ``t`` [s] after the loop's start, before the plant steps. It
@@ -225,15 +222,10 @@ def watched(
 
 
 def run_lockstep(
-    plant: Plant[C, M],
-    controller: Controller[M, C],
-    mpc: MPC | None,
-    timing: Timing,
-    duration: float,
-    record: Callable[[float, C, PolicyQueue], None],
-    progress: Progress | None = None,
+    plant: Plant[C, M], controller: Controller[M, C], mpc: MPC | None, timing: Timing, duration: float,
+    record: Callable[[float, C, PolicyQueue], None], progress: Progress | None = None,
     done: Callable[[], bool] | None = None,
-) -> Ending:
+) -> Ending:  # fmt: skip
     """Run for ``duration`` [s], or until ``done()``, which is asked at every tick. An early end (a fall, numbers that are not finite, no
     plan, Ctrl-C) stops the robot and is returned, not raised. So is every other exception once the robot has been commanded, because the
     robot would continue with its last command; in the first period errors (bad settings) are raised. A robot that is stopped early is
@@ -281,15 +273,9 @@ def _come_to_rest(plant: Plant[C, M], controller: Controller[M, C], timing: Timi
 
 
 def _tick(
-    plant: Plant[C, M],
-    controller: Controller[M, C],
-    mpc: MPC | None,
-    timing: Timing,
-    i: int,
-    plans: PolicyQueue,
-    record: Callable[[float, C, PolicyQueue], None],
-    watchers: tuple[Watcher, ...],
-) -> Ending:
+    plant: Plant[C, M], controller: Controller[M, C], mpc: MPC | None, timing: Timing, i: int, plans: PolicyQueue,
+    record: Callable[[float, C, PolicyQueue], None], watchers: tuple[Watcher, ...],
+) -> Ending:  # fmt: skip
     """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""
     t = i * timing.period
     try:

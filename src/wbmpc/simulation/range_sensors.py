@@ -60,11 +60,8 @@ class RangeSensor:
                 f"sensor '{name}': rate and reach must be positive, age and noise not negative; got {rate} Hz, {reach} m, {age} s, {noise} m"
             )
         self.name, self.body, self._rays, self._position = (
-            name,
-            body,
-            np.asarray(rays, float),
-            np.asarray(position, float),
-        )
+            name, body, np.asarray(rays, float), np.asarray(position, float),
+        )  # fmt: skip
         self._period, self._age, self._reach, self._noise = 1.0 / rate, age, reach, noise
         self._random, self._due = np.random.default_rng([seed, len(rays)]), 0.0
         self._waiting: deque[Scan] = deque()

@@ -322,12 +322,9 @@ class World:
         tool[2] -= height
         x, y = self.base_pose()[:2].tolist()
         return {
-            "pose": np.array([x, y, self.yaw]),
-            "tool": tool,
-            "tool_rotation": a["tool_rotation"].reshape(3, 3).copy(),
-            "tool_in_base": a["seen"].copy(),
-            "tool_rotation_in_base": a["turned"].reshape(3, 3).copy(),
-        }
+            "pose": np.array([x, y, self.yaw]), "tool": tool, "tool_rotation": a["tool_rotation"].reshape(3, 3).copy(),
+            "tool_in_base": a["seen"].copy(), "tool_rotation_in_base": a["turned"].reshape(3, 3).copy(),
+        }  # fmt: skip
 
     def joints(self) -> dict[str, float]:
         """True joint angles [rad] by name."""

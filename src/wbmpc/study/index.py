@@ -102,10 +102,8 @@ def _study(directory: Path) -> dict[str, Any]:
     planned = about.get("planned")
     experiments = tuple(dict.fromkeys(str(c["experiment"]) for c in about["combinations"].values()))
     found: dict[str, Any] = {
-        "title": str(about["title"]),
-        "experiments": experiments,
-        "planned": None if planned is None else int(planned),
-    }
+        "title": str(about["title"]), "experiments": experiments, "planned": None if planned is None else int(planned),
+    }  # fmt: skip
     if tables.is_file():
         found |= _figures(load_json(tables))
     if (directory / JOURNAL).is_file() or (directory / PARTS).is_dir() or not tables.is_file():

@@ -36,19 +36,9 @@ _OF_RUN = ("key", "experiment", "outcome")
 TARGETS = "targets"
 Targets = dict[str, dict[str, dict[str, float | None]]]
 _TEXTS = (
-    "key",
-    "experiment",
-    "condition",
-    "robot",
-    "outcome",
-    "reason",
-    "started",
-    "version",
-    "commit",
-    "code",
-    "host",
+    "key", "experiment", "condition", "robot", "outcome", "reason", "started", "version", "commit", "code", "host",
     "files",
-)
+)  # fmt: skip
 
 
 def parquet() -> Any:

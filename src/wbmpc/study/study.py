@@ -165,13 +165,9 @@ class Study:
         keep, c = self.definition.files, run.combination
         files = None if keep == "none" else str((self.out / "files" / run.key).resolve())
         return {
-            "key": run.key,
-            "source": c.source,
-            "changes": dict(c.changes),
-            "seed": run.seed,
-            "files": files,
+            "key": run.key, "source": c.source, "changes": dict(c.changes), "seed": run.seed, "files": files,
             "keep": keep,
-        }
+        }  # fmt: skip
 
     def table(self, columns: list[str] | None = None) -> pyarrow.Table:
         """A row for each run; ``columns``: only those. Raises :class:`InputError` where nothing has been run."""
@@ -223,12 +219,9 @@ class Tuned:
         """The object that ``--json`` prints."""
         report = None if self.report is None else self.report.to_json()
         return {
-            "settings": self.settings,
-            "best": self.best,
-            "front": list(self.front),
-            "trials": self.trials,
+            "settings": self.settings, "best": self.best, "front": list(self.front), "trials": self.trials,
             "report": report,
-        }
+        }  # fmt: skip
 
 
 class Clock:

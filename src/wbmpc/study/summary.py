@@ -161,14 +161,9 @@ def _finite(value: Any) -> Any:
 
 
 def summarize(
-    title: str,
-    combinations: Sequence[Combination],
-    table: pyarrow.Table,
-    planned: int,
-    metrics: Sequence[str] = (),
-    compare_with: str = "",
-    larger_is_better: Sequence[str] = (),
-) -> Summary:
+    title: str, combinations: Sequence[Combination], table: pyarrow.Table, planned: int, metrics: Sequence[str] = (),
+    compare_with: str = "", larger_is_better: Sequence[str] = (),
+) -> Summary:  # fmt: skip
     """Of a study's table. ``metrics``: those that are shown (when empty: those of interest)."""
     columns = [name for name in table.column_names if name.startswith("metric.")]
     units = {n.removeprefix("metric."): _unit(table.schema.field(n)) for n in columns}
@@ -198,17 +193,9 @@ def summarize(
     }
     first = next(iter(dict.fromkeys(c.condition for c in cells)), "")
     return Summary(
-        title,
-        tuple(cells),
-        units,
-        targets,
-        shown,
-        planned,
-        lost,
-        sources,
-        compare_with or first,
+        title, tuple(cells), units, targets, shown, planned, lost, sources, compare_with or first,
         tuple(larger_is_better),
-    )
+    )  # fmt: skip
 
 
 def _shown(cells: Sequence[Cell], targets: Targets, units: Mapping[str, str], chosen: Sequence[str]) -> tuple[str, ...]:

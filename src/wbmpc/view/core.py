@@ -122,14 +122,9 @@ class LiveView(Window):
         return message is not None
 
     def _controls(
-        self,
-        mpc: MPC | None,
-        robot: RobotModel | None,
-        groups: tuple[str, ...],
-        *,
-        paced: bool = True,
+        self, mpc: MPC | None, robot: RobotModel | None, groups: tuple[str, ...], *, paced: bool = True,
         pushes: bool = True,
-    ) -> Controls:
+    ) -> Controls:  # fmt: skip
         """What there is to control of a run of this robot (None: of none that is described) with this MPC."""
         names = tuple(cost.name for cost in Steering.costs_of(mpc))
         around = mpc is not None and mpc.obstacles is not None

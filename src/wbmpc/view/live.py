@@ -47,14 +47,9 @@ class View(LiveView):
     live = True
 
     def __init__(
-        self,
-        title: str,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        *,
-        opened: Callable[[str], None] = lambda url: None,
-        with_token: bool = True,
-    ) -> None:
+        self, title: str, host: str = "127.0.0.1", port: int = 8080, *,
+        opened: Callable[[str], None] = lambda url: None, with_token: bool = True,
+    ) -> None:  # fmt: skip
         super().__init__(title, host, port, opened, with_token)
         self._shown: tuple[Scene, bool] | None = None
         self.steered, self._factor, self._trail = False, Factor(), Trail()
@@ -67,11 +62,9 @@ class View(LiveView):
         """Start the server's process for the world of a run; returns when it answers."""
         self.scene, before = self._shown = Observer(running).scene, running.name == PREPARATION
         controls = self._controls(
-            None if before else running.mpc,
-            getattr(running.controller, "robot", None),
-            self._loads_of(running).groups,
+            None if before else running.mpc, getattr(running.controller, "robot", None), self._loads_of(running).groups,
             pushes=not before,
-        )
+        )  # fmt: skip
         self.start(self.scene, controls, fields(self.scene))
 
     @staticmethod

@@ -205,12 +205,9 @@ class Panel:
             for title, lines in plotted(self.controls).items():
                 series = (uplot.Series(label="t"), *(line(label, color) for _, label, color, _ in lines))
                 handle = self.server.gui.add_uplot(
-                    (empty, *(empty for _ in lines)),
-                    series,
-                    title=title,
-                    aspect=1.8,
+                    (empty, *(empty for _ in lines)), series, title=title, aspect=1.8,
                     scales={"x": uplot.Scale(time=False)},
-                )
+                )  # fmt: skip
                 self._figures.append((handle, [(NUMBERS.index(name), factor) for name, _, _, factor in lines]))
 
     # ------------------------------------------------------------------ snapshots

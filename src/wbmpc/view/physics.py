@@ -56,16 +56,9 @@ class Simulated:
     """
 
     def __init__(
-        self,
-        make: Callable[[], Any],
-        measurement: Any,
-        stop: Any,
-        clock: WallClock,
-        core: int | None,
-        fifo: bool = False,
-        record: int = 20_000,
-        seen: Mailbox | None = None,
-    ) -> None:
+        self, make: Callable[[], Any], measurement: Any, stop: Any, clock: WallClock, core: int | None,
+        fifo: bool = False, record: int = 20_000, seen: Mailbox | None = None,
+    ) -> None:  # fmt: skip
         self.clock, self._stop, self._kind = clock, stop, type(measurement)
         self.measurements, self.commands = Mailbox.shared(shapes(measurement)), Mailbox.shared(shapes(stop))
         self.pushes, self.seen = Mailbox.shared({"force": (3,)}), seen or Mailbox.shared(SEEN)

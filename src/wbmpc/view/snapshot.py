@@ -124,13 +124,10 @@ def ground(contacts: list[Contact], size: float = 0.002, size_above: float = 0.0
     found, triangle = pressure_point(points, loads), active_triangle(points[:, :2], loads)
     on_floor = lambda p: np.column_stack([p, np.full(len(p), level)])
     return {
-        "forces": filled(arrows, (CONTACTS, 2, 3)),
-        "support": filled(on_floor(corners), (CONTACTS, 3)),
-        "triangle": filled(on_floor(triangle), (3, 3)),
-        "pressure": found,
-        "margin": np.array(margin(corners, found[:2])),
-        "triangle_margin": np.array(margin(triangle, found[:2])),
-    }
+        "forces": filled(arrows, (CONTACTS, 2, 3)), "support": filled(on_floor(corners), (CONTACTS, 3)),
+        "triangle": filled(on_floor(triangle), (3, 3)), "pressure": found,
+        "margin": np.array(margin(corners, found[:2])), "triangle_margin": np.array(margin(triangle, found[:2])),
+    }  # fmt: skip
 
 
 def errors(end_effector: Array, goal: Array, base: Array, base_goal: Array) -> dict[str, float]:

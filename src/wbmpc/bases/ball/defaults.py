@@ -105,24 +105,18 @@ def rezero_problem(robot: RobotModel, settings: MpcSettings, cost: RezeroCost) -
     twist = np.array([h.twist] * 3 + [h.angular] * 3)
     speeds = [b.ball_speed, b.ball_speed, b.yaw_rate, b.tilt_rate, b.tilt_rate]
     body: dict[str, Any] = {
-        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0],
-        "base_velocity": speeds,
-        "arm": b.arm,
-        "arm_velocity": b.arm_rate,
-    }
+        "base": [b.ball, b.ball, b.yaw, 0.0, 0.0], "base_velocity": speeds, "arm": b.arm, "arm_velocity": b.arm_rate,
+    }  # fmt: skip
     end: dict[str, Any] = {
         g: [cost.terminal * w for w in v] if isinstance(v, list) else cost.terminal * v for g, v in body.items()
     }
     ocp.add(
         Cost(
-            "end_effector",
-            residuals.FramePose(robot, robot.tool, axes="reference"),
-            list(pose),
-            norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3),
-            at="path+terminal",
+            "end_effector", residuals.FramePose(robot, robot.tool, axes="reference"), list(pose),
+            norm=SmoothL1((h.limit,) * 3 + (h.turn_limit,) * 3), at="path+terminal",
             terminal_weight=list(cost.terminal * pose),
         )
-    )
+    )  # fmt: skip
     frame_twist = residuals.FrameTwist(robot, robot.tool)
     ocp.add(Cost("twist", frame_twist, list(twist), at="path+terminal", terminal_weight=list(cost.terminal * twist)))
     ocp.add(Cost("body", residuals.State(robot), body, at="path+terminal", terminal_weight=end))

@@ -9,7 +9,7 @@ on like that. A plan that does not know of such a force, or believes in one that
 learning at every sign of motion makes a robot with an unknown 1 kg in its end effector swing against its own observer.)
 
 At the start nothing has been learned, and the first disturbances are errors of the robot's own masses and its load: for ``longest`` seconds d̂ learns
-:data:`~wbmpc.bases.ball.disturbance_step.EAGER` times as fast, whatever the gate says.
+:data:`EAGER` times as fast, whatever the gate says.
 
 Nor is the inertia of a load that is not modeled: while the robot accelerates, its force comes and goes with the motion. An observer
 that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the end effector, a step of
@@ -144,8 +144,7 @@ def observe(d: Disturbance, g: Gate, t: float, h: float) -> float:
 @dataclass
 class DisturbanceObserver:
     """``step(x, u, h)``: the model's state after h seconds; ``mass(q)``: M. Units: SI. ``gate`` (1 to ``size``): largest innovations of the
-    first speeds that are none of a push. ``backend``: machine code
-    (:mod:`wbmpc.bases.ball.disturbance_step`), or the same source as ordinary Python."""
+    first speeds that are none of a push. ``backend``: machine code, or the same source as ordinary Python."""
 
     step: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
     mass: Callable[[np.ndarray], np.ndarray]
@@ -171,15 +170,9 @@ class DisturbanceObserver:
             )
         n, gates = self.size, self.gate.size
         sizes = {
-            "velocity": n,
-            "speed": n,
-            "after": n,
-            "mass": n * n,
-            "force": n,
-            "felt": gates,
-            "mean": gates,
+            "velocity": n, "speed": n, "after": n, "mass": n * n, "force": n, "felt": gates, "mean": gates,
             "innovation": n,
-        }
+        }  # fmt: skip
         self._arrays = {name: np.zeros(length) for name, length in sizes.items()} | {
             "gate": np.array(self.gate, float), "clock": np.array([-np.inf, -np.inf, np.inf, -np.inf]),
             "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),
@@ -200,7 +193,7 @@ class DisturbanceObserver:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Its arrays by their names in :mod:`wbmpc.bases.ball.disturbance_step`, for other steps to read and to change."""
+        """Its arrays by their names above, for other steps to read and to change."""
         return self._arrays
 
     def update(self, t: float, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:

@@ -37,17 +37,9 @@ class ElasticDrives:
     """
 
     def __init__(
-        self,
-        stiffness: ArrayLike,
-        rotor: ArrayLike,
-        spring_damping: float,
-        gain: float,
-        loop_damping: float,
-        limit: ArrayLike,
-        lag: ArrayLike,
-        timestep: float,
-        traction: ArrayLike = np.inf,
-    ) -> None:
+        self, stiffness: ArrayLike, rotor: ArrayLike, spring_damping: float, gain: float, loop_damping: float,
+        limit: ArrayLike, lag: ArrayLike, timestep: float, traction: ArrayLike = np.inf,
+    ) -> None:  # fmt: skip
         self.stiffness, self.rotor = np.asarray(stiffness, float), np.asarray(rotor, float)
         if not ((self.stiffness > 0.0).all() and (self.rotor > 0.0).all()):
             raise InputError(

@@ -34,7 +34,7 @@ from wbmpc.kernel.step import Backend, Step, bind
 
 class FilterMemory:
     """``arrays``: everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`, and a ``gate`` of the inertial unit
-    (:func:`wbmpc.bases.ball.filter.gate_arrays`). ``constants``: of :func:`wbmpc.bases.ball.filter_solve.process`, which is
+    (:func:`gate_arrays`). ``constants``: of :func:`wbmpc.bases.ball.filter_solve.process`, which is
     ``process(h, torque, bound)``. The older state is the filter's."""
 
     def __init__(

@@ -24,7 +24,7 @@ class JointTracker:
     ``speed`` (n) [rad/s] can do in the time since, or with the jump before it: nearer to that than to where the joint was. So a
     step that is never undone never counts, however far the joint could have moved meanwhile; one that is undone, and a joint
     of which no message came for a while, count by their distance. Those of ``surprised`` (n) are far from what was expected:
-    their rates are in doubt. ``size``: n; ``arrays``: everything by its name in :mod:`wbmpc.bases.ball.joint_step`."""
+    their rates are in doubt. ``size``: n; ``arrays``: everything by its name above."""
 
     def __init__(
         self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,

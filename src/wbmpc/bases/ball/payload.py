@@ -47,10 +47,8 @@ class PayloadEstimator:
         load, rule = np.zeros(len(Load)), np.zeros(len(Rule))
         load[[Load.MASS, Load.CALM, Load.LEFT]] = mass, CALM, AFTER
         rule[[Rule.RATE, Rule.MAXIMUM, Rule.SURE]], rule[Rule.BASE_SPREAD], rule[Rule.ARM_SPREAD] = (
-            (rate, maximum, sure),
-            base,
-            arm,
-        )
+            (rate, maximum, sure), base, arm,
+        )  # fmt: skip
         self._arrays: dict[str, Array] = {"load": load, "rule": rule}
         self._steps: dict[str, Step] = {}
 

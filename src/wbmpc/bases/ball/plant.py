@@ -71,17 +71,10 @@ class BallPlant(WorldAccess):
     """
 
     def __init__(
-        self,
-        description: RobotDescription,
-        state: ArrayLike | None = None,
-        torque: ArrayLike | None = None,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
-        payload: float = 0.0,
+        self, description: RobotDescription, state: ArrayLike | None = None, torque: ArrayLike | None = None,
+        perturbation: Perturbation | None = None, seed: int = 0, timestep: float = TIMESTEP, *, payload: float = 0.0,
         edit: Edit | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         if not isinstance(description.base, BallBaseDescription):
             raise InputError(f"{description.name}: this plant needs a ball base")
         self.description, self.base, self.timestep = description, description.base, timestep
@@ -160,15 +153,9 @@ class BallPlant(WorldAccess):
             edit(spec)
 
     def _motor(
-        self,
-        spec: mujoco.MjSpec,
-        name: str,
-        joint: str,
-        kind: mujoco.mjtTrn,
-        gear: list[float],
-        limit: float,
+        self, spec: mujoco.MjSpec, name: str, joint: str, kind: mujoco.mjtTrn, gear: list[float], limit: float,
         lag: float,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Limit and lag of a rigid drive are MuJoCo's; the control of an elastic one is the torque of its spring."""
         if not isinstance(self.perturbation.drives, RigidDrives):
             add_drive(spec, name, joint, kind, np.inf, 0.0).gear = gear
@@ -313,10 +300,6 @@ class BallPlant(WorldAccess):
     def truth(self) -> Truth:
         """Poses of base and tool, joints."""
         return Truth(
-            time=self.time,
-            **self.world.frames(height=self.base.ball_radius),
-            tilt=self.world.tilt,
-            state=self.state(),
-            joints=self.world.joints(),
-            joint_speeds=self.world.joint_speeds(),
-        )
+            time=self.time, **self.world.frames(height=self.base.ball_radius), tilt=self.world.tilt, state=self.state(),
+            joints=self.world.joints(), joint_speeds=self.world.joint_speeds(),
+        )  # fmt: skip

@@ -51,7 +51,7 @@ class PushEstimator:
     are allowed to; the push goes on to tilt them the same way, and the wheels come too late. ``room``: by how much a push that
     lasts for ``expected_push_time`` [s] more will move the component, to be kept free by the limit of the lean. Unlike the disturbance
     observer's force it is there within some 20 ms and gone as fast.
-    ``arm`` (m) [rad]: angles for which the pole is taken. ``backend``: machine code (:mod:`wbmpc.bases.ball.push_step`), or the same source
+    ``arm`` (m) [rad]: angles for which the pole is taken. ``backend``: machine code, or the same source
     as ordinary Python. Needs :meth:`update` once for every new state.
     Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """

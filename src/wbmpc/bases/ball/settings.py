@@ -14,12 +14,9 @@ from wbmpc.settings import MpcSettings, Settings
 #: stiff penalty of its speeds asks for all the torque there is after any excess, and through the lag of the drives the arm then
 #: swings from limit to limit forever.
 STEPS_AND_PUSHES = RezeroCost(
-    end_effector=EndEffectorCost(weight=450.0, orientation=80.0, turn_limit=0.2),
-    body=BodyCost(tilt_rate=3.0, arm=1.0),
-    torque=TorqueCost(wheel=0.1, arm=0.3),
-    lean=0.6,
-    speed_slack=20.0,
-)
+    end_effector=EndEffectorCost(weight=450.0, orientation=80.0, turn_limit=0.2), body=BodyCost(tilt_rate=3.0, arm=1.0),
+    torque=TorqueCost(wheel=0.1, arm=0.3), lean=0.6, speed_slack=20.0,
+)  # fmt: skip
 #: How fast [m/s] the robot may be pushed along before it leans against the force.
 PUSHED_SPEED = 2.0
 

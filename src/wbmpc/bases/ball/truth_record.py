@@ -1,6 +1,6 @@
 """What experiments record of a ball robot at every tick, in one call.
 
-What is recorded of a simulated ball robot at every tick, compiled: see :class:`wbmpc.bases.ball.truth_record.TruthRecord`.
+What is recorded of a simulated ball robot at every tick, compiled: see :class:`TruthRecord`.
 
 Positions ``q`` and velocities ``v`` are MuJoCo's; m joints of the arm are at ``arm_q`` and ``arm_v`` in them. Rotations are (3, 3) by rows.
 """
@@ -25,11 +25,9 @@ from wbmpc.simulation.scene import from_base
 
 #: Apart from the controller's steps, which need nothing of the simulator.
 LIBRARY = Library(
-    "record of the ball robot",
-    packages=("bases/ball", "simulation", "kernel"),
-    modules=(__name__,),
+    "record of the ball robot", packages=("bases/ball", "simulation", "kernel"), modules=(__name__,),
     uses=(BALL, SIMULATION),
-)
+)  # fmt: skip
 compiled, step = LIBRARY.compiled, LIBRARY.step
 TURN = 2.0 * np.pi
 
@@ -133,13 +131,9 @@ class TruthRecord:
     machine code, or the same source as ordinary Python."""
 
     def __init__(
-        self,
-        log: Log,
-        plant: BallPlant,
-        others: Mapping[str, int | None],
-        estimator: bool,
+        self, log: Log, plant: BallPlant, others: Mapping[str, int | None], estimator: bool,
         backend: Backend = "compiled",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._plant, nx = plant, 10 + 2 * len(plant.description.arm.joints)
         widths: dict[str, int | None] = {"state": nx, "hand": 3, "hand_quaternion": 4, "tilt": None}
         if estimator:

@@ -8,12 +8,10 @@ import numpy as np
 from wbmpc.checks import numbers
 from wbmpc.control.direct import InputCommand, StateMeasurement
 from wbmpc.model.robot import RobotModel
-from wbmpc.robots import load_spec
-from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.perturbation import ArmPerturbation, Perturbation
-from wbmpc.simulation.world import TIMESTEP, Array, World, add_floor, add_light, set_options
+from wbmpc.simulation.world import TIMESTEP, Array, add_floor, add_light, set_options
 from wbmpc.types import Edit, Truth
 
 
@@ -25,27 +23,14 @@ class FixedPlant(ArmPlant):
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
+        self, robot: RobotModel, perturbation: Perturbation | None = None, seed: int = 0, timestep: float = TIMESTEP, *,
         edit: Edit | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         description = self.description = robot.description
         self.timestep, self.perturbation = timestep, ArmPerturbation.of(perturbation, description)
-        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         names = list(description.arm.joints)
         self._names = {"arm": names}
-        spec = load_spec(description, meshes=True)
-        bodies = [b.name for b in spec.bodies if b.name != "world"]
-        self.draw = self.perturbation.draw(draw_rng, bodies, 0, len(names))
-        with named(description.model):
-            self._build(spec, edit)
-        self.world = World(spec, description, names, {n: description.limits.velocity.get(n, np.inf) for n in names})
-        self.model, self.data = self.world.model, self.world.data
-        self.index()
+        self.make_world(seed, 0, edit, description.limits.velocity)
         self._control = np.array([self.model.actuator(n).id for n in names], dtype=int)
         self._speed = np.array([description.limits.velocity.get(n, np.inf) for n in names])
         self.start_sensors({"arm": self.draw.arm_offset})
@@ -53,7 +38,7 @@ class FixedPlant(ArmPlant):
         self.data.qpos[self._q["arm"]] -= self.offsets["arm"]
         self.settle(0.0)
 
-    def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
+    def build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         self.draw.apply_to_bodies(spec)
         set_options(spec, self.timestep, mujoco.mjtIntegrator.mjINT_DISCRETE)
         add_floor(spec, 3, [self.draw.friction, 0.005, 1e-4], [0.02, 1.0])

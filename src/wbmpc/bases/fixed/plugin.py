@@ -29,7 +29,7 @@ class FixedBaseType(CommonBaseType):
     Description = FixedBaseDescription
     parts: ClassVar[Mapping[str, str]] = {
         "perturbation": "simulation.perturbation:ArmPerturbation", "plant": "bases.fixed.plant:FixedPlant",
-        "ros_settings": "bases.fixed.ros_settings:FixedRosSettings", "ros": "bases.fixed.ros:FixedRosAdapter",
+        "ros_settings": "bases.common.ros_settings:FixedRosSettings", "ros": "bases.fixed.ros:FixedRosAdapter",
         "ros_plant": "bases.fixed.ros_plant:FixedRosPlant",
     }  # fmt: skip
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.common.ros import SpeedRosAdapter
-from wbmpc.bases.fixed.ros_settings import FixedRosSettings
+from wbmpc.bases.common.ros_settings import FixedRosSettings
 from wbmpc.bases.optional import mounting
 from wbmpc.control.direct import DirectController, InputCommand, StateMeasurement
 from wbmpc.model.robot import RobotModel

@@ -47,12 +47,9 @@ class OmnidirectionalBaseType(PlanarBaseType):
         along = headings(fixed)
         if np.abs(along @ along[0]).min() < ALIKE:
             return propose(
-                fixed,
-                0.2 if steers else 0.9,
-                f"{len(fixed)} wheels in different directions",
-                {"rollers": "omni"},
+                fixed, 0.2 if steers else 0.9, f"{len(fixed)} wheels in different directions", {"rollers": "omni"},
                 ROLLERS("omni"),
-            )
+            )  # fmt: skip
         if len(fixed) < 4 or np.ptp(axles(fixed, along[0])) < APART or np.ptp(axles(fixed, fixed[0].axle[:2])) < APART:
             return None
         seen = any(w.rollers or "mecanum" in f"{mechanism.file.path.name} {w.joint}".lower() for w in fixed)

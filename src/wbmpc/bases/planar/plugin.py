@@ -108,13 +108,10 @@ class MobileBaseType(PlanarBaseType):
         text = "wheels or tracks slip sideways in every turn: how far the base turns depends on the floor"
         return [
             Finding(
-                "warning",
-                "base",
-                "key 'base.drive'",
-                text,
+                "warning", "base", "key 'base.drive'", text,
                 "take the base's pose from a gyro and a localization, not from its wheels",
             )
-        ]
+        ]  # fmt: skip
 
     def model(self, description: RobotDescription, spec: mujoco.MjSpec) -> MobileBase:
         base = description.base

@@ -164,7 +164,7 @@ RADIUS, SPEED = 0.01, 0.03
 def fit_errors(
     odometry: Callable[[WheelErrors], PlanarOdometry], size: tuple[int, int], channels: Mapping[str, Array], source: str
 ) -> WheelErrors:
-    """What a log's ``channels`` show (:class:`wbmpc.bases.planar_motion.strokes.Strokes`); ``odometry`` at the origin for errors of (n, m)
+    """What a log's ``channels`` show (:class:`Strokes`); ``odometry`` at the origin for errors of (n, m)
     ``size``."""
     wheels, _ = size
     strokes = Strokes.of(channels, source)

@@ -27,15 +27,9 @@ class PlanarController:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        pose: Array,
-        period: float,
-        lag: float = 0.0,
-        *,
-        use_gyro: bool = True,
+        self, robot: RobotModel, pose: Array, period: float, lag: float = 0.0, *, use_gyro: bool = True,
         wheels: WheelErrors | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         positive("controller", period=period)
         not_negative("controller", lag=lag)
         self.robot, self.period, self.lag, self.use_gyro = robot, period, lag, use_gyro

@@ -71,14 +71,9 @@ class PlanarBase:
     """
 
     def __init__(
-        self,
-        description: RobotDescription,
-        tree: Tree,
-        wheels: FixedWheels,
-        matrix: Array,
-        names: Sequence[str],
+        self, description: RobotDescription, tree: Tree, wheels: FixedWheels, matrix: Array, names: Sequence[str],
         twist: Array,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """``matrix`` (n, 3): wheel rates by the twist."""
         self.tree, self.geometry, self.twist, self.rates = tree, wheels, twist, matrix @ twist
         joints = {**description.base.joint_groups(), "arm": list(description.arm.joints)}

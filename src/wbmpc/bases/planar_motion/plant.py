@@ -12,13 +12,11 @@ from wbmpc.bases.planar_motion.model import PlanarBase
 from wbmpc.checks import numbers
 from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import RobotModel
-from wbmpc.robots import load_spec
-from wbmpc.robots.checks import named
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant
-from wbmpc.simulation.world import TIMESTEP, Array, World, add_drive
+from wbmpc.simulation.world import TIMESTEP, Array, add_drive
 from wbmpc.types import Edit, Truth
 
 
@@ -31,35 +29,19 @@ class PlanarPlant(WheeledPlant):
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        state: Array | None = None,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
-        edit: Edit | None = None,
-        settle: float = 0.5,
-    ) -> None:
+        self, robot: RobotModel, state: Array | None = None, perturbation: Perturbation | None = None, seed: int = 0,
+        timestep: float = TIMESTEP, *, edit: Edit | None = None, settle: float = 0.5,
+    ) -> None:  # fmt: skip
         self.robot, description = robot, robot.description
         self.description = description
         assert isinstance(description.base, PlanarBaseDescription) and isinstance(robot.base, PlanarBase)
         self.base, self.model_base, self.timestep = description.base, robot.base, timestep
         self.perturbation = WheeledPerturbation.of(perturbation, description)
-        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         self._names = {
             "wheel": self.base.wheel_joints(),
             **{g: robot.base.state[g] for g in robot.base.state if g != "base"},
         }
-        spec = load_spec(description, meshes=True)
-        bodies = [b.name for b in spec.bodies if b.name != "world"]
-        self.draw = self.perturbation.draw(draw_rng, bodies, self._drives(), len(self._names["arm"]))
-        with named(description.model):
-            self._build(spec, edit)
-        names = [n for group in self._names.values() for n in group]
-        self.world = World(spec, description, names, {n: description.limits.velocity.get(n, np.inf) for n in names})
-        self.model, self.data = self.world.model, self.world.data
-        self.index()
+        self.make_world(seed, self._drives(), edit, description.limits.velocity)
         self.start_sensors({**{g: np.zeros(len(n)) for g, n in self._names.items()}, "arm": self.draw.arm_offset})
         start = robot.home if state is None else numbers("start", "state", state, robot.state.size)
         self.arrange(start)
@@ -78,7 +60,7 @@ class PlanarPlant(WheeledPlant):
         """What else carries the robot, of ``weight`` [N]: casters."""
 
     # ------------------------------------------------------------------ building
-    def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
+    def build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         friction = self.stand_on_floor(spec)
         weight = float(spec.compile().body_mass.sum()) * GRAVITY
         for i in range(len(self._names["wheel"])):

@@ -35,7 +35,7 @@ class PlanarBaseType(CommonBaseType):
 
     calibration_channels = ("wheel", "steer")
     parts: ClassVar[Mapping[str, str]] = {
-        "perturbation": "simulation.perturbation:WheeledPerturbation", "ros_settings": "bases.planar_motion.ros_settings:PlanarRosSettings",
+        "perturbation": "simulation.perturbation:WheeledPerturbation", "ros_settings": "bases.common.ros_settings:PlanarRosSettings",
         "ros": "bases.planar_motion.ros:PlanarRosAdapter", "ros_plant": "bases.planar_motion.ros_plant:PlanarRosPlant",
         "controller": "bases.planar_motion.controller:PlanarController",
     }  # fmt: skip

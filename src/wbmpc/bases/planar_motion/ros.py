@@ -12,10 +12,10 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.common.ros import SpeedRosAdapter
+from wbmpc.bases.common.ros_settings import PlanarRosSettings
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.planar_motion.model import planar_base
-from wbmpc.bases.planar_motion.ros_settings import PlanarRosSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Cost, OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Weights, planar_estimate
@@ -155,12 +155,9 @@ class PlanarRosAdapter(SpeedRosAdapter):
     controller: Any  # of the bus, and of the base type
 
     def __init__(
-        self,
-        robot: RobotModel,
-        settings: PlanarRosSettings,
-        period: float,
+        self, robot: RobotModel, settings: PlanarRosSettings, period: float,
         kind: type[PlanarController] = PlanarController,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(robot, settings)
         self._led = self._weights_of_base(self.mpc.ocp)
         self.controller: Any = on_bus(kind)(robot, np.zeros(3), period, lag=settings.actuator_time_constant)
@@ -188,17 +185,9 @@ class PlanarRosAdapter(SpeedRosAdapter):
             return BusMeasurement(at, wheel, arm, steer=steer, origin=origin, series=sample.series, stamp=sample.stamp)
         turning = None if imu.turning is None or not self.settings.use_gyro else float(imu.turning[2])
         return BusMeasurement(
-            at,
-            wheel,
-            arm,
-            imu.gyro,
-            imu.accel,
-            steer,
-            turning=turning,
-            origin=origin,
-            series=sample.series,
+            at, wheel, arm, imu.gyro, imu.accel, steer, turning=turning, origin=origin, series=sample.series,
             stamp=sample.stamp,
-        )
+        )  # fmt: skip
 
     def stand(self, measurement: BusMeasurement) -> None:
         """Follow the wheels, and the gyro's bias, while the drives are not commanded."""

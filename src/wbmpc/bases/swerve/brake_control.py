@@ -114,12 +114,9 @@ class BrakeControl:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        start: ArrayLike | None = None,
-        delay: float = 0.0,
+        self, robot: RobotModel, start: ArrayLike | None = None, delay: float = 0.0,
         changed: Callable[[ModeSchedule], None] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         footprint = robot.base.footprint
         geometry = None if footprint is None else footprint.modules
         if "brake" not in robot.mode or geometry is None:

@@ -123,19 +123,10 @@ class BrakeMonitor:
     """
 
     def __init__(
-        self,
-        names: Sequence[str],
-        moved: float = 0.01,
-        expected: float = 0.2,
-        still: float = 0.0015,
-        window: float = 5.0,
-        settle: float = 0.25,
-        crawl: float = 0.08,
-        patience: float = 1.3,
-        creep: float = 2e-4,
-        limit: ArrayLike = np.inf,
-        backend: Backend = "compiled",
-    ) -> None:
+        self, names: Sequence[str], moved: float = 0.01, expected: float = 0.2, still: float = 0.0015,
+        window: float = 5.0, settle: float = 0.25, crawl: float = 0.08, patience: float = 1.3, creep: float = 2e-4,
+        limit: ArrayLike = np.inf, backend: Backend = "compiled",
+    ) -> None:  # fmt: skip
         who = "brake monitor"
         finite(who, moved=moved, expected=expected, still=still, window=window, settle=settle)
         finite(who, crawl=crawl, patience=patience, creep=creep)
@@ -155,7 +146,7 @@ class BrakeMonitor:
         self.restart_clock()
 
     def _bind(self, backend: Backend) -> None:
-        """Arrays by their names in :class:`wbmpc.bases.swerve.brake_step.Brakes`, and that step."""
+        """Arrays by their names in :class:`Brakes`, and that step."""
         n = len(self.names)
         a = self._arrays = zeros(Brakes, n)
         a |= {"crawl": np.array(self.crawl, float), "expected": np.array(self.expected, float)}

@@ -49,15 +49,9 @@ class LegGuard:
     """
 
     def __init__(
-        self,
-        n: int,
-        away: float = 0.018,
-        window: float = 0.2,
-        hold: float = 0.3,
-        longest: float = 0.6,
-        again: float = 0.6,
-        apart: float = 0.2,
-    ) -> None:
+        self, n: int, away: float = 0.018, window: float = 0.2, hold: float = 0.3, longest: float = 0.6,
+        again: float = 0.6, apart: float = 0.2,
+    ) -> None:  # fmt: skip
         who = "leg guard"
         finite(who, away=away, window=window, hold=hold, longest=longest, again=again, apart=apart)
         if min(away, window, hold, again) <= 0.0 or apart < 0.0 or longest < hold:

@@ -189,12 +189,9 @@ REJECTED, MISFIT, ABSURD = 0.1, 9.0, 0.15
 
 
 def fit_wheels(
-    geometry: ModuleGeometry,
-    record: WheelRecord,
-    *,
-    prior: WheelCalibration | None = None,
+    geometry: ModuleGeometry, record: WheelRecord, *, prior: WheelCalibration | None = None,
     noise: OdometryNoise | None = None,
-) -> WheelFit:
+) -> WheelFit:  # fmt: skip
     """Steer zeros and wheel radii that a record shows.
 
     The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
@@ -319,11 +316,8 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibr
 
 
 def calibrate(
-    geometry: ModuleGeometry,
-    record: WheelRecord,
-    *,
-    prior: WheelCalibration | None = None,
+    geometry: ModuleGeometry, record: WheelRecord, *, prior: WheelCalibration | None = None,
     noise: OdometryNoise | None = None,
-) -> WheelCalibration:
+) -> WheelCalibration:  # fmt: skip
     """Steer zeros and wheel radii that a record shows, with their covariance; arguments and errors of :func:`fit_wheels`."""
     return fit_wheels(geometry, record, prior=prior, noise=noise).calibration

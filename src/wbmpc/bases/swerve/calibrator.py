@@ -51,13 +51,11 @@ class SwerveCalibration:
         found, std = self.fit.calibration, self.fit.calibration.std
         rows = {
             name: {
-                "steer_zero": float(found.steer_offset[i]),
-                "wheel_radius": float(found.wheel_radius[i]),
-                "steer_zero_std": float(std[0][i]),
-                "wheel_radius_std": float(std[1][i]),
+                "steer_zero": float(found.steer_offset[i]), "wheel_radius": float(found.wheel_radius[i]),
+                "steer_zero_std": float(std[0][i]), "wheel_radius_std": float(std[1][i]),
             }
             for i, name in enumerate(self.names)
-        }
+        }  # fmt: skip
         poses = {"used": self.fit.used, "given": self.fit.given}
         return {"modules": rows, "poses": poses, "not_shown": self._hidden(), "arm": self.arm or {}}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import ClassVar
 
@@ -26,71 +25,23 @@ from wbmpc.types import Observation
 CROOKED = 0.05
 
 
-class SwervePrediction:
-    """``brakes(t)``: brakes (n, 1 = open) at t [s].
+class SwerveController:
+    """Estimation, prediction and tracking of a swerve robot that starts at ``pose`` (x, y, yaw), every ``period`` [s].
+
+    ``brakes``: of the legs over time, or a function ``brakes(t)``: brake state (n) at a time, 1 = open; None: closed.
+    Its parts: ``estimator``, ``tracking`` and ``supervision`` of brakes, each with settings of its own.
 
     The MPC's state holds the *planned* steering angles; a servo closes their difference to the measured ones. (With measured
     angles the rolling rows of four wheels are never exactly consistent, and their only exact solution is standstill.)
     """
 
-    def __init__(
-        self, robot: RobotModel, estimator: SwerveEstimator, tracking: SwerveTracking, brakes: Callable[[float], Array]
-    ) -> None:
-        self.robot, self._estimator, self._tracking, self._brakes = robot, estimator, tracking, brakes
-
-    def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """The state at time ``until``, by the inputs that will be applied from ``t`` on, and what the drives still owe.
-
-        The plan's clock runs ahead of the wall's by the lag: what is commanded now acts that much later.
-        """
-        tracking = self._tracking
-        lag, period = tracking.settings.lag, tracking.period
-        # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
-        tracking.ahead(self._start(t, plans), self._brakes(t))
-        for k in range(round((until - t) / period)):
-            now = t + (k + 0.5) * period
-            policy = plans.at(now)
-            if policy is None:
-                break
-            tracking.predict(policy.feedforward(now + lag), self._brakes(now))
-        return Observation(until + lag, tracking.predicted)
-
-    def _start(self, t: float, plans: PolicyQueue) -> Array:
-        """The estimated state (nx) with the steering angles that the plan has at t [s]."""
-        x, steer = self._estimator.state(), self.robot.state["steer"]
-        if not self._tracking.settings.planned_steering:
-            return x
-        if plans.current is not None:
-            x[steer] = plans.current.state(t + self._tracking.settings.lag)[steer]
-            return x
-        # Wheels that have no common center can only stand: the first plan starts from the nearest that have one.
-        measured, leg = self._estimator.steer, self._estimator.leg
-        aligned = aligned_steering(swerve_base(self.robot).geometry, leg if leg.size else 0.0, measured)
-        if np.abs(aligned - measured).max() > CROOKED:
-            x[steer] = aligned
-        return x
-
-
-class SwerveController:
-    """Estimation, prediction and tracking of a swerve robot that starts at ``pose`` (x, y, yaw), every ``period`` [s].
-
-    ``brakes``: of the legs over time, or a function ``brakes(t)``: brake state (n) at a time, 1 = open; None: closed.
-    Its parts: ``estimator``, ``tracking``, ``prediction`` and ``supervision`` of brakes, each with settings of its own.
-    """
-
     Estimator: ClassVar[type[SwerveEstimator]] = SwerveEstimator
 
     def __init__(
-        self,
-        robot: RobotModel,
-        pose: Array,
-        period: float,
-        brakes: BrakeControl | Brakes | None = None,
-        *,
-        tracking: TrackingSettings | None = None,
-        estimation: EstimatorSettings | None = None,
+        self, robot: RobotModel, pose: Array, period: float, brakes: BrakeControl | Brakes | None = None, *,
+        tracking: TrackingSettings | None = None, estimation: EstimatorSettings | None = None,
         supervision: SupervisionSettings | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         positive("swerve robot's controller", period=period)
         self.robot, self.period = robot, period
         estimation = estimation or EstimatorSettings()
@@ -101,7 +52,6 @@ class SwerveController:
         self.tracking = law = SwerveTracking(robot, period, tracking or TrackingSettings(), self.wheel_scale)
         self.estimator = self.Estimator(robot, pose, estimation, law.drives, law.arm, law.side_slip)
         self.supervision = BrakeSupervision(robot, period, brakes, supervision or SupervisionSettings())
-        self.prediction = SwervePrediction(robot, self.estimator, law, self.supervision.open)
 
     @property
     def measured(self) -> SwerveMeasurement | None:
@@ -163,8 +113,36 @@ class SwerveController:
         self.tracking.learn_friction(previous, measurement)
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """The state at time ``until``, by the inputs that will be applied from ``t`` on, and what the drives still owe."""
-        return self.prediction.predict(t, until, plans)
+        """The state at time ``until``, by the inputs that will be applied from ``t`` on, and what the drives still owe.
+
+        The plan's clock runs ahead of the wall's by the lag: what is commanded now acts that much later.
+        """
+        tracking, brakes = self.tracking, self.supervision.open
+        lag = tracking.settings.lag
+        # A first-order drive still moves by lag times its present rate after the last command: the state leads by that.
+        tracking.ahead(self._start(t, plans), brakes(t))
+        for k in range(round((until - t) / self.period)):
+            now = t + (k + 0.5) * self.period
+            policy = plans.at(now)
+            if policy is None:
+                break
+            tracking.predict(policy.feedforward(now + lag), brakes(now))
+        return Observation(until + lag, tracking.predicted)
+
+    def _start(self, t: float, plans: PolicyQueue) -> Array:
+        """The estimated state (nx) with the steering angles that the plan has at t [s]."""
+        x, steer, settings = self.estimator.state(), self.robot.state["steer"], self.tracking.settings
+        if not settings.planned_steering:
+            return x
+        if plans.current is not None:
+            x[steer] = plans.current.state(t + settings.lag)[steer]
+            return x
+        # Wheels that have no common center can only stand: the first plan starts from the nearest that have one.
+        measured, leg = self.estimator.steer, self.estimator.leg
+        aligned = aligned_steering(swerve_base(self.robot).geometry, leg if leg.size else 0.0, measured)
+        if np.abs(aligned - measured).max() > CROOKED:
+            x[steer] = aligned
+        return x
 
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed. The next plan's commands start from there, as fast as accelerations allow."""

@@ -63,14 +63,9 @@ class SwerveCost(Settings):
 
 
 def swerve_problem(
-    robot: RobotModel,
-    settings: MpcSettings,
-    cost: SwerveCost,
-    side_softness: float = 0.0,
-    *,
-    accelerations: bool = False,
-    allow_side_slip: bool = False,
-) -> OptimalControlProblem:
+    robot: RobotModel, settings: MpcSettings, cost: SwerveCost, side_softness: float = 0.0, *,
+    accelerations: bool = False, allow_side_slip: bool = False,
+) -> OptimalControlProblem:  # fmt: skip
     """End effector pose, base pose, posture and twist as costs; rolling and brakes as equalities; limits as inequalities.
 
     ``accelerations``: those of the robot's description too, from the last command on (which an MPC knows); ``allow_side_slip``: the
@@ -89,13 +84,10 @@ def swerve_problem(
     frame = residuals.FramePose(robot, robot.tool)
     ocp.add(
         Cost(
-            "end_effector",
-            frame,
-            list(end_effector),
-            at="path+terminal",
+            "end_effector", frame, list(end_effector), at="path+terminal",
             terminal_weight=list(cost.terminal * end_effector),
         )
-    )
+    )  # fmt: skip
     ocp.add(Cost("state", state, posture, at="path+terminal", terminal_weight=end))
     ocp.add(Cost("input", residuals.Input(robot), rates))
     for constraint in swerve_base(robot).constraints(robot, side_softness, allow_side_slip=allow_side_slip):
@@ -117,17 +109,10 @@ def swerve_problem(
 
 
 def swerve_mpc(
-    robot: RobotModel,
-    settings: MpcSettings,
-    cost: SwerveCost,
-    guess: Guess | None = None,
-    *,
-    allow_side_slip: bool = False,
-    obstacles: Obstacles | None = None,
-    stability: StabilitySettings | None = None,
-    progress: str | None = None,
-    self_clearance: bool = False,
-) -> MPC:
+    robot: RobotModel, settings: MpcSettings, cost: SwerveCost, guess: Guess | None = None, *,
+    allow_side_slip: bool = False, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None,
+    progress: str | None = None, self_clearance: bool = False,
+) -> MPC:  # fmt: skip
     """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
     the frame that follows a path, see :func:`wbmpc.path_problem`; ``self_clearance``: whether it keeps apart the pairs that the robot file lists."""
     ocp = swerve_problem(robot, settings, cost, ROLLING_SOFTNESS, accelerations=True, allow_side_slip=allow_side_slip)

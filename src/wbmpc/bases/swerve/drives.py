@@ -2,6 +2,8 @@
 
 A drive follows a command with a first-order lag and turns slower than commanded by a constant speed, in either direction: a
 proportional velocity servo lags by friction over gain.
+
+What a swerve robot's drives make of commands: their first-order lag, and the arm's sag under loads that are not fed forward.
 """
 
 from __future__ import annotations
@@ -12,9 +14,56 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import step
+from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.bases.swerve.tracking_step import learn_sag
 from wbmpc.checks import not_negative, positive
 from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import Backend, bind, zeros
+from wbmpc.model.robot import RobotModel
+
+#: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
+SAG_TIME, MAX_SAG = 1.0, 0.15
+
+
+def lag_share(period: float, lag: float) -> float:
+    """Share of the way to a command that a drive of first order goes in a period [s]; 1 without a ``lag`` [s]."""
+    return float(1.0 - np.exp(-period / lag)) if lag > 0.0 else 1.0
+
+
+class DriveModel:
+    """Drives of first order with a ``lag`` [s]. ``rates`` (nu): what they make of the commands now; the planned steering has no
+    lag, so its rates are 0 where ``planned_steering``; ``turning`` (n) [rad/s]: of the steering drives in any case. ``arrays``: both,
+    which :mod:`wbmpc.bases.swerve.tracking_step` writes."""
+
+    def __init__(self, robot: RobotModel, period: float, lag: float, planned_steering: bool) -> None:
+        self.lag, self.blend = lag, lag_share(period, lag)
+        self.arrays = {"rates": np.zeros(robot.input.size), "turning": np.zeros(swerve_base(robot).geometry.modules)}
+        self.rates, self.turning = self.arrays["rates"], self.arrays["turning"]
+
+
+class ArmDrives:
+    """The arm's ``count`` drives. ``sag`` (m) [rad/s]: by what joints turn besides their commands; ``command`` (m), the last one;
+    ``rate`` and ``mean`` (m): what lagging drives make of the commands now and over the last period. ``arrays``: these."""
+
+    def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
+        self._period, self._lag, self._blend = period, lag, lag_share(period, lag)
+        self.arrays = {name: np.zeros(count) for name in ("sag", "command", "rate", "mean", "turned")}
+        self.sag, self.command, self.mean = (self.arrays[name] for name in ("sag", "command", "mean"))
+        self._learn = bind(learn_sag, self.arrays, backend, m=count, largest=MAX_SAG)
+
+    def learn(self, turned: Array, h: float) -> None:
+        """The sag from what the joints ``turned`` (m) [rad] in h [s] and what drives should have made of the commands."""
+        if h > 0.0:
+            self.arrays["turned"][:] = turned
+            self._learn(float(1.0 - np.exp(-h / SAG_TIME)), h)
+
+    def follow(self, command: Array) -> None:
+        """A period under a command (m) [rad/s]."""
+        a = self.arrays
+        behind = a["rate"] - command
+        a["command"][:], a["mean"][:] = command, command + behind * self._blend * self._lag / self._period
+        a["rate"][:] = command + behind * (1.0 - self._blend)
+
 
 #: Time [s] of turning over which friction is learned; the most that is taken for it, speeds below which a drive may stick and
 #: shows nothing, and below which the sign of a command is not trusted [rad/s].
@@ -82,7 +131,7 @@ class DryFriction:
     """Dry friction of n drives: estimated from their measured motion, and compensated in their commands.
 
     ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by how much each turns slower than commanded.
-    ``backend``: machine code (:mod:`wbmpc.bases.swerve.drive_step`), or the same source as ordinary Python.
+    ``backend``: machine code, or the same source as ordinary Python.
     """
 
     def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
@@ -127,7 +176,7 @@ class Smoothing:
 
     The age varies from message to message, so a value has an error of speed × age: noise with a known mean. The expected motion of the
     drives predicts the positions, and messages correct them with the time constant ``time`` [s]. ``arrays``: ``read``, ``rates`` and
-    ``value`` (n), as in :func:`wbmpc.bases.swerve.drive_step.smooth`; ``value`` is the one of the last message. ``started``: there has been a
+    ``value`` (n), as in :func:`smooth`; ``value`` is the one of the last message. ``started``: there has been a
     message.
     """
 

@@ -10,8 +10,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import step
-from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
-from wbmpc.bases.swerve.drives import Smoothing, smooth
+from wbmpc.bases.swerve.drives import ArmDrives, DriveModel, Smoothing, smooth
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
@@ -142,12 +141,9 @@ class SwerveEstimator:
         self._known = known_weights(wheels)
         self.odometry = FusedOdometry(geometry, pose, calibration=wheels, noise=settings.noise)
         self.wheels_alone = WheelOdometry(
-            geometry,
-            pose,
-            wheel_radius=wheels.wheel_radius,
-            leg_offset=wheels.leg_offset,
+            geometry, pose, wheel_radius=wheels.wheel_radius, leg_offset=wheels.leg_offset,
             steer_offset=wheels.steer_offset,
-        )
+        )  # fmt: skip
         self._odd = SlippingWheels(geometry, self.wheels_alone) if settings.reject_slipping_wheels else None
         self._inertial = None if self._odd is None else InertialVelocity(self._odd.seen, robot.inertial_unit)
         self._coasting: Array | None = None  # velocity (2) [m/s] by the inertial unit, while wheels slip

@@ -20,9 +20,9 @@ from wbmpc.bases.swerve.late_poses import LatePoses
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.bases.swerve.odometry_memory import OdometryMemory
 from wbmpc.bases.swerve.odometry_step import BIAS, LATE, WHEELS, Interval, Way
+from wbmpc.bases.swerve.slip_step import Slip
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import Increment, Mask, Sample, WheelOdometry
-from wbmpc.bases.swerve.wheel_slip import Slip
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
@@ -56,16 +56,10 @@ class FusedOdometry:
     """
 
     def __init__(
-        self,
-        geometry: ModuleGeometry,
-        pose0: ArrayLike = (0.0, 0.0, 0.0),
-        *,
-        calibration: WheelCalibration | None = None,
-        noise: OdometryNoise | None = None,
-        pose_std: ArrayLike = (0.0, 0.0, 0.0),
-        history: float = 0.5,
-        backend: Backend = "compiled",
-    ) -> None:
+        self, geometry: ModuleGeometry, pose0: ArrayLike = (0.0, 0.0, 0.0), *,
+        calibration: WheelCalibration | None = None, noise: OdometryNoise | None = None,
+        pose_std: ArrayLike = (0.0, 0.0, 0.0), history: float = 0.5, backend: Backend = "compiled",
+    ) -> None:  # fmt: skip
         n = self._n = geometry.modules
         self.geometry, self.noise = geometry, noise or OdometryNoise()
         self._prior = calibration or WheelCalibration.unknown(geometry)
@@ -194,15 +188,9 @@ class FusedOdometry:
 
     # ------------------------------------------------------------------ wheels and gyro
     def update(
-        self,
-        t: float,
-        leg: ArrayLike,
-        steer: ArrayLike,
-        wheel: ArrayLike,
-        gyro: float | None = None,
-        brake: ArrayLike | None = None,
-        weights: ArrayLike | None = None,
-    ) -> Array:
+        self, t: float, leg: ArrayLike, steer: ArrayLike, wheel: ArrayLike, gyro: float | None = None,
+        brake: ArrayLike | None = None, weights: ArrayLike | None = None,
+    ) -> Array:  # fmt: skip
         """The pose after a message of time ``t`` [s]: positions (n) [rad] and ``gyro``, the mean yaw rate [rad/s] since the
         message before (the rate at its end is ahead of the wheels while a turn begins, as if their radii were wrong);
         ``weights`` (n): little for wheels that are known to slip, of two or more above 0.
@@ -216,14 +204,9 @@ class FusedOdometry:
         return self.advance(t, self._reader.checked(leg, steer, wheel), gyro, brake, weights)
 
     def advance(
-        self,
-        t: float,
-        sample: Sample,
-        gyro: float | None = None,
-        brake: ArrayLike | None = None,
-        weights: ArrayLike | None = None,
-        velocity: Array | None = None,
-    ) -> Array:
+        self, t: float, sample: Sample, gyro: float | None = None, brake: ArrayLike | None = None,
+        weights: ArrayLike | None = None, velocity: Array | None = None,
+    ) -> Array:  # fmt: skip
         """As :meth:`update`, after true positions that :class:`WheelOdometry` with the same zeros has checked. ``velocity`` (2) [m/s]: of
         the base's origin in its axes, by an inertial unit; it counts like a part of a wheel (:data:`INERTIAL_WEIGHT`)."""
         arrays, time = self._memory.arrays, self.time

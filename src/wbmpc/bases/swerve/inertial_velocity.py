@@ -131,14 +131,9 @@ class InertialVelocity:
         return float(np.sqrt(np.max(np.where(self._announced > 0.5, 0.0, np.sum(off**2, axis=1)))))
 
     def update(
-        self,
-        h: float,
-        gyro: Array,
-        accel: Array,
-        yaw_rate: float,
-        announced: NDArray[np.bool_] | None,
+        self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None,
         calm: bool = True,
-    ) -> bool:
+    ) -> bool:  # fmt: skip
         """Over h [s] to a message: ``gyro`` (3) [rad/s], ``accel`` (3) [m/s²], mean ``yaw_rate`` [rad/s] without its bias; ``announced`` (n):
         wheels that slip, as the controller says; ``calm``: whether the wheels agree. Whether ``weights`` are of this message: there is an
         inertial unit, and no gap before it."""

@@ -81,14 +81,10 @@ def read_geometry(description: RobotDescription, tree: Tree) -> tuple[ModuleGeom
         height.append(base.wheel_radius - float(poses[rolling][0][2]))
     _check_level(description.source, [m.wheel for m in base.modules], np.array(height))
     geometry = ModuleGeometry(
-        hinge=np.array(hinge),
-        leg_length=np.array(length),
-        leg_heading=np.array(leg),
-        wheel_heading=np.array(wheel),
-        wheel_radius=base.wheel_radius,
-        legs_move=all(moved),
+        hinge=np.array(hinge), leg_length=np.array(length), leg_heading=np.array(leg), wheel_heading=np.array(wheel),
+        wheel_radius=base.wheel_radius, legs_move=all(moved),
         slides=np.array([float(m.slide is not None) for m in base.modules]),
-    )
+    )  # fmt: skip
     return geometry, float(np.mean(height))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State, with_open_legs
 from wbmpc.bases.swerve.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
+from wbmpc.bases.swerve.slip_step import WINDOWS, slip_memory
 from wbmpc.bases.swerve.wheel_fit import WheelFit
-from wbmpc.bases.swerve.wheel_slip import WINDOWS, slip_memory
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.model.wheels import ModuleGeometry
 

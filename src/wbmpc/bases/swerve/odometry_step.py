@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.bases.swerve.compilation import compiled, step
+from wbmpc.bases.swerve.slip_step import slip_intensity
 from wbmpc.bases.swerve.wheel_fit import Wheels, fit, move
-from wbmpc.bases.swerve.wheel_slip import slip_intensity
 from wbmpc.kernel.ir import Floats
 
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections.
@@ -70,7 +70,7 @@ class Odometry(NamedTuple):
     by_wheels: Floats  # (3, 2n), the twist's derivative by zeros and radii
     covariance: Floats  # (3, 3), of the twist
     noise: Floats  # Noise
-    slip: Floats  # wbmpc.bases.swerve.wheel_slip.Slip
+    slip: Floats  # wbmpc.bases.swerve.slip_step.Slip
     slip_mean: Floats  # (windows, n, 2)
     off: Floats  # (n, 2) [m], contradictions in the present piece of way
     rolled_off: Floats  # (n) [m], and what wheels rolled in it

@@ -21,15 +21,14 @@ from wbmpc.bases.swerve.slip_step import contact_slips
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.kernel.step import bind
-from wbmpc.robots import RobotDescription, load_spec
-from wbmpc.robots.checks import named
+from wbmpc.robots import RobotDescription
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation, clipped
 from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_slide
-from wbmpc.simulation.world import TIMESTEP, Array, World, add_drive
+from wbmpc.simulation.world import TIMESTEP, Array, add_drive
 from wbmpc.types import Edit, Truth
 
 #: Torque limits [N m] of wheel and steer drives whose effort the robot's file leaves out (Pankert et al., RA-L 2022, and its release).
@@ -76,40 +75,22 @@ class SwervePlant(WheeledPlant):
     perturbation: SwervePerturbation
 
     def __init__(
-        self,
-        description: RobotDescription,
-        state: Mapping[str, ArrayLike] | ArrayLike | None = None,
-        perturbation: Perturbation | None = None,
-        seed: int = 0,
-        timestep: float = TIMESTEP,
-        *,
-        edit: Edit | None = None,
-        lift: float = 0.0,
-        settle: float = 0.5,
-        localization: Localization | None = None,
-    ) -> None:
+        self, description: RobotDescription, state: Mapping[str, ArrayLike] | ArrayLike | None = None,
+        perturbation: Perturbation | None = None, seed: int = 0, timestep: float = TIMESTEP, *,
+        edit: Edit | None = None, lift: float = 0.0, settle: float = 0.5, localization: Localization | None = None,
+    ) -> None:  # fmt: skip
         if not isinstance(description.base, SwerveBaseDescription):
             raise InputError(f"{description.name}: this plant needs a swerve base")
         reject_two_wheels(description)
         self.description, self.base, self.timestep = description, description.base, timestep
         self.perturbation, self.localization = SwervePerturbation.of(perturbation, description), localization
         self._reject_brake_fault()
-        draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         modules, arm = self.base.modules, list(description.arm.joints)
         self._names = {
-            "leg": [m.leg for m in modules if m.leg],
-            "steer": [m.steer for m in modules],
-            "wheel": [m.wheel for m in modules],
-            "arm": arm,
-        }
-        spec = load_spec(description, meshes=True)
-        bodies = [b.name for b in spec.bodies if b.name != "world"]
-        self.draw = self.perturbation.draw(draw_rng, bodies, len(modules), len(arm))
-        with named(description.model):
-            self._build(spec, edit)
-        self.world = World(spec, description, [n for g in self._names.values() for n in g], self._rated())
-        self.model, self.data = self.world.model, self.world.data
-        self.index()
+            "leg": [m.leg for m in modules if m.leg], "steer": [m.steer for m in modules],
+            "wheel": [m.wheel for m in modules], "arm": arm,
+        }  # fmt: skip
+        self.make_world(seed, len(modules), edit, self._rated())
         holds = [BRAKE_FORCE if m.slide else BRAKE_TORQUE for m in modules if m.leg]
         self.brakes = Brakes(len(holds), self.perturbation.brake_delay, np.array(holds))
         self._held: Array | None = None  # what brakes hold, as the model has it
@@ -125,7 +106,7 @@ class SwervePlant(WheeledPlant):
             )
 
     # ------------------------------------------------------------------ building
-    def _build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
+    def build(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         draw, friction = self.draw, self.stand_on_floor(spec)
         for i, module in enumerate(self.base.modules):
             radius = self.base.wheel_radius * float(draw.radius[i])
@@ -302,15 +283,10 @@ class SwervePlant(WheeledPlant):
         pose = frames["pose"] if self.base.orientation == "yaw" else self.world.base_pose().copy()
         along = self._slip()
         return Truth(
-            time=self.time,
-            **frames,
-            tilt=self.world.tilt,
-            state=np.concatenate([pose, d.qpos[self._all]]),
-            joints=self.world.joints(),
-            joint_speeds=self.world.joint_speeds(),
-            slip=np.hypot(along[:, 0], along[:, 1]),
+            time=self.time, **frames, tilt=self.world.tilt, state=np.concatenate([pose, d.qpos[self._all]]),
+            joints=self.world.joints(), joint_speeds=self.world.joint_speeds(), slip=np.hypot(along[:, 0], along[:, 1]),
             wheel_force=np.abs(d.sensordata[self._forces]),
-        )
+        )  # fmt: skip
 
     def _slip(self) -> Array:
         """Velocity (n, 2) [m/s] of each wheel's contact point over the floor, along the wheel and along its axle.

@@ -37,11 +37,9 @@ def propose(mechanism: Mechanism, wheels: Sequence[Wheel]) -> Proposal | None:
     held = [n for w in steered for n in (*w.held, *(() if moved or not w.leg else (w.leg,)))]
     rates = {"hinge": LEG_RATE, "slide": SLIDE_RATE, "steer": STEER_RATE, "wheel": RIM_SPEED / radius}
     changes = {
-        "hinge": LEG_ACCELERATION,
-        "slide": SLIDE_ACCELERATION,
-        "steer": STEER_ACCELERATION,
+        "hinge": LEG_ACCELERATION, "slide": SLIDE_ACCELERATION, "steer": STEER_ACCELERATION,
         "wheel": RIM_ACCELERATION / radius,
-    }
+    }  # fmt: skip
     speed, acceleration = ({n: round(v[part], 2) for m in modules for part, n in m.items()} for v in (rates, changes))
     reason = f"{len(steered)} wheels under steering axes" + (
         f", on {'sliding' if 'slide' in modules[0] else 'hinged'} legs" if moved else ""

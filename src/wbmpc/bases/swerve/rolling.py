@@ -58,8 +58,8 @@ def roll(
 
 
 class Rolling:
-    """:func:`wbmpc.model.wheels.rolling_inverse_kinematics` of one base, without NumPy's cost of each operation. ``backend``: machine code
-    (:mod:`wbmpc.bases.swerve.rolling_step`), or the same source as ordinary Python."""
+    """:func:`wbmpc.model.wheels.rolling_inverse_kinematics` of one base, without NumPy's cost of each operation.
+    ``backend``: machine code, or the same source as ordinary Python."""
 
     def __init__(self, geometry: ModuleGeometry, backend: Backend = "compiled") -> None:
         n, plain = geometry.modules, lambda values: np.array(values, float).ravel()

@@ -50,13 +50,9 @@ class Legs:
     """
 
     def __init__(
-        self,
-        node: Node,
-        robot: RobotModel,
-        settings: RosSettings,
-        ready: Callable[[], str],
+        self, node: Node, robot: RobotModel, settings: RosSettings, ready: Callable[[], str],
         now: Callable[[], Now | None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.robot, self.settings, self._ready, self._now = robot, settings, ready, now
         self.names = robot.state.groups["leg"]
         self.angles: Array | None = None
@@ -78,13 +74,9 @@ class Legs:
         for key, take in takes.items():
             if topic := getattr(topics, key):
                 node.subscribe(
-                    topic,
-                    REQUEST_TYPES[key],
-                    partial(self._from_topic, topic, take),
-                    DEFAULT,
-                    deferred=True,
+                    topic, REQUEST_TYPES[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True,
                     largest=SMALL,
-                )
+                )  # fmt: skip
         if topics.set_legs:
             try:
                 node.serve(topics.set_legs, SET_LEGS, self._asked, rejected=_failed)

@@ -95,15 +95,9 @@ class SteeringPlan:
 
 
 def plan_steering(
-    geometry: ModuleGeometry,
-    leg: np.ndarray,
-    steer: np.ndarray,
-    times: np.ndarray,
-    twists: np.ndarray,
-    limits: tuple[np.ndarray, np.ndarray],
-    rate: float,
-    swing: ArrayLike = 0.0,
-) -> SteeringPlan:
+    geometry: ModuleGeometry, leg: np.ndarray, steer: np.ndarray, times: np.ndarray, twists: np.ndarray,
+    limits: tuple[np.ndarray, np.ndarray], rate: float, swing: ArrayLike = 0.0,
+) -> SteeringPlan:  # fmt: skip
     """The ways round that lose least of the motion's way: a dynamic program over the nodes at which the base may stop.
 
     ``leg`` (n, or k, n) [rad, or m of those that slide]; ``steer`` (n) [rad] now; body ``twists`` (k, 3) at ``times`` (k,); ``limits``:

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.swerve.drive_model import ArmDrives, DriveModel
-from wbmpc.bases.swerve.drives import DryFriction
+from wbmpc.bases.swerve.drives import ArmDrives, DriveModel, DryFriction
 from wbmpc.bases.swerve.estimator import SideSlip, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
@@ -52,13 +51,9 @@ class SwerveTracking:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        period: float,
-        settings: TrackingSettings,
-        wheel_scale: Array,
+        self, robot: RobotModel, period: float, settings: TrackingSettings, wheel_scale: Array,
         backend: Backend = "compiled",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.robot, self.period, self.settings = robot, period, settings
         modules = swerve_base(robot).geometry.modules
         groups = ("wheel", "steer") if settings.friction else ()

@@ -67,12 +67,9 @@ class WheelCalibration:
 
     @classmethod
     def unknown(
-        cls,
-        geometry: ModuleGeometry,
-        zero: float = ZERO_STD,
-        radius: float = RADIUS_STD,
+        cls, geometry: ModuleGeometry, zero: float = ZERO_STD, radius: float = RADIUS_STD,
         common_radius: float = COMMON_RADIUS_STD,
-    ) -> WheelCalibration:
+    ) -> WheelCalibration:  # fmt: skip
         """The description's numbers, with standard deviations [rad, relative, relative] of what they may be off."""
         not_negative("wheel calibration", zero=zero, radius=radius, common_radius=common_radius)
         n = geometry.modules
@@ -102,26 +99,20 @@ class WheelCalibration:
         return s[: self.modules], s[self.modules :]
 
     def save(
-        self,
-        path: Path,
-        modules: list[str],
-        notes: Sequence[str] = (),
-        arm: Mapping[str, Mapping[str, float]] | None = None,
-        robot: str = "",
-    ) -> None:
+        self, path: Path, modules: list[str], notes: Sequence[str] = (),
+        arm: Mapping[str, Mapping[str, float]] | None = None, robot: str = "",
+    ) -> None:  # fmt: skip
         """Write a YAML file with one entry for each of the named modules (their steer joints), ``notes`` as comments, what is known
         of the ``arm`` by its joints, and the ``robot``'s name."""
         std = self.std
         rows = {
             name: {
-                "steer_offset": float(self.steer_offset[i]),
-                "leg_offset": float(self.leg_offset[i]),
-                "wheel_radius": float(self.wheel_radius[i]),
-                "steer_offset_std": float(std[0][i]),
+                "steer_offset": float(self.steer_offset[i]), "leg_offset": float(self.leg_offset[i]),
+                "wheel_radius": float(self.wheel_radius[i]), "steer_offset_std": float(std[0][i]),
                 "wheel_radius_std": float(std[1][i]),
             }
             for i, name in enumerate(modules)
-        }
+        }  # fmt: skip
         scale = np.concatenate(std)
         scale[scale == 0.0] = 1.0
         correlation = self.covariance / np.outer(scale, scale)

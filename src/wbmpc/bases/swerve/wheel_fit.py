@@ -133,26 +133,16 @@ class WheelFit:
     def __init__(self, geometry: ModuleGeometry, radius: Array, backend: Backend = "compiled", **given: Array) -> None:
         n = geometry.modules
         sizes = {
-            "twist": 3,
-            "residual": 2 * n,
-            "rolled": n,
-            "heading": n,
-            "slope": 6 * n,
-            "axes": 2 * n,
-            "moved": 2 * n,
-        }
+            "twist": 3, "residual": 2 * n, "rolled": n, "heading": n, "slope": 6 * n, "axes": 2 * n, "moved": 2 * n,
+        }  # fmt: skip
         sizes |= {"before": 3 * n, "now": 3 * n, "correction": 2 * n}
         self.memory = {
-            "hinge": np.array(geometry.hinge, float).ravel(),
-            "length": np.array(geometry.leg_length, float),
-            "leg_heading": np.array(geometry.leg_heading, float),
-            "slides": np.array(geometry.slides, float),
+            "hinge": np.array(geometry.hinge, float).ravel(), "length": np.array(geometry.leg_length, float),
+            "leg_heading": np.array(geometry.leg_heading, float), "slides": np.array(geometry.slides, float),
             "wheel_heading": np.array(geometry.wheel_heading, float),
-            "radius": np.array(np.broadcast_to(radius, n), float),
-            "weights": np.ones(n),
-            **{name: np.zeros(size) for name, size in sizes.items()},
-            **given,
-        }
+            "radius": np.array(np.broadcast_to(radius, n), float), "weights": np.ones(n),
+            **{name: np.zeros(size) for name, size in sizes.items()}, **given,
+        }  # fmt: skip
         self.n = n
         self.run = bind(fit, self.memory, backend, n=n)
 

@@ -96,14 +96,9 @@ class WheelOdometry:
     """
 
     def __init__(
-        self,
-        geometry: ModuleGeometry,
-        pose0: ArrayLike = (0.0, 0.0, 0.0),
-        *,
-        wheel_radius: ArrayLike | None = None,
-        leg_offset: ArrayLike = 0.0,
-        steer_offset: ArrayLike = 0.0,
-    ) -> None:
+        self, geometry: ModuleGeometry, pose0: ArrayLike = (0.0, 0.0, 0.0), *, wheel_radius: ArrayLike | None = None,
+        leg_offset: ArrayLike = 0.0, steer_offset: ArrayLike = 0.0,
+    ) -> None:  # fmt: skip
         n = self._n = geometry.modules
         self.geometry, self._pose = geometry, numbers("odometry", "pose0", pose0, 3).copy()
         radius = geometry.wheel_radius if wheel_radius is None else wheel_radius

@@ -1,4 +1,4 @@
-"""Settings of the controller of an arm on a base that does not move, on a ROS 2 bus."""
+"""Settings of controllers on a ROS 2 bus whose drives take speeds and whose problem is the default one."""
 
 from __future__ import annotations
 
@@ -12,3 +12,9 @@ class FixedRosSettings(RosSettings):
 
     mpc: MpcSettings = default_settings()
     cost: DefaultCost = DefaultCost()
+
+
+class PlanarRosSettings(FixedRosSettings):
+    """``cost``: weights that scale with the robot; ``use_gyro``: whether the odometry takes the yaw rate from the inertial unit."""
+
+    use_gyro: bool = True
