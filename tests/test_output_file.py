@@ -96,7 +96,9 @@ def test_what_is_there_stays_until_the_new_file_is_whole(name: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("stands", ["file", "link to nowhere", "pipe"])
-def test_figures_of_a_run_are_kept_if_something_else_is_in_the_place_of_its_directory(stands: str, tmp_path: Path) -> None:
+def test_figures_of_a_run_are_kept_if_something_else_is_in_the_place_of_its_directory(
+    stands: str, tmp_path: Path
+) -> None:
     """It was put there while the run went on. Truth: the figure that was given."""
     out = tmp_path / "out"
     if stands == "file":

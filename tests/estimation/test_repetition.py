@@ -99,7 +99,9 @@ def test_times_and_means_of_what_is_held_back() -> None:
     assert r.count(0.2, 0.15, moved, 0.1) == (True, 0.1)  # less than what a bias may be
     assert not r.count(0.25, 0.2, moved, 0.5).counts
     rests = [r.count(0.25 + 0.05 * k, 0.2, moved, 0.0) for k in range(1, 101)]
-    assert rests == [(False, None)] * 99 + [(True, None)] and 99 * 0.05 < RESTS <= 100 * 0.05  # what it turned is no bias
+    assert (
+        rests == [(False, None)] * 99 + [(True, None)] and 99 * 0.05 < RESTS <= 100 * 0.05
+    )  # what it turned is no bias
     assert not r.count(5.3, 5.25, moved, 0.5).counts
     assert r.count(5.5, 5.25, moved, 0.5) == (True, None)  # a gap in time
     assert not r.count(5.55, 5.5, moved, 0.5).counts

@@ -65,7 +65,10 @@ def test_workers_that_cannot_start_are_one_message(
     monkeypatch.setattr("distributed.LocalCluster", fails)
     assert main(["study", str(study(tmp_path)), "--workers", "1", "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
-    assert "--workers: the processes do not start ([Errno 2] No such file or directory)" in said and "Traceback" not in said
+    assert (
+        "--workers: the processes do not start ([Errno 2] No such file or directory)" in said
+        and "Traceback" not in said
+    )
 
 
 def test_an_unknown_study_names_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:

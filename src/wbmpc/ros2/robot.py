@@ -21,7 +21,16 @@ from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.inertial_readings import InertialReadings
 from wbmpc.ros2.joints import (
-    OVERTAKEN, TURN_FACTOR, Inertial, JointReader, JointSample, Repetition, Series, Standstill, check_turn, read_imu,
+    OVERTAKEN,
+    TURN_FACTOR,
+    Inertial,
+    JointReader,
+    JointSample,
+    Repetition,
+    Series,
+    Standstill,
+    check_turn,
+    read_imu,
 )  # fmt: skip
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source

@@ -228,7 +228,11 @@ class FusedOdometry:
         """As :meth:`update`, after true positions that :class:`WheelOdometry` with the same zeros has checked. ``velocity`` (2) [m/s]: of
         the base's origin in its axes, by an inertial unit; it counts like a part of a wheel (:data:`INERTIAL_WEIGHT`)."""
         arrays, time = self._memory.arrays, self.time
-        if not math.isfinite(t) or t < max(time, self._repetition.time) or (gyro is not None and not math.isfinite(gyro)):
+        if (
+            not math.isfinite(t)
+            or t < max(time, self._repetition.time)
+            or (gyro is not None and not math.isfinite(gyro))
+        ):
             raise InputError(
                 f"odometry: time and gyro must be finite and time must not go back, got {t} s, {gyro} rad/s"
             )
