@@ -96,15 +96,14 @@ def test_a_goal_is_given_where_its_handle_is_moved(panel: Any) -> None:
     assert not panel._dragged and panel._values["goals"] == 1
 
 
-def test_a_box_is_put_dragged_and_taken_away(panel: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_box_is_put_dragged_and_taken_away(panel: Any) -> None:
     """What the run gets: pose and edge, 0 without a box."""
-    drawn, add = [], panel.server.scene.add_box
-    monkeypatch.setattr(panel.server.scene, "add_box", lambda *a, **k: (drawn.append(k["dimensions"]), add(*a, **k))[1])
+    drawn = panel.server.scene._handle_from_node_name["/obstacle/cube"]
     buttons = {h.label: h for h in panel.server.gui._gui_input_handle_from_uuid.values() if hasattr(h, "label")}
 
     def press(label: str) -> None:
         for callback in buttons[label]._impl.update_cb:
-            callback(SimpleNamespace(client=object(), target=buttons[label]))
+            asyncio.run(callback(SimpleNamespace(client=object(), target=buttons[label])))
 
     press("Put there")
     assert panel._box.visible and panel._values["obstacles"] == 1
@@ -121,9 +120,9 @@ def test_a_box_is_put_dragged_and_taken_away(panel: Any, monkeypatch: pytest.Mon
     edge = buttons["Edge [m]"]
     edge._impl.value = 0.8  # of another size it is drawn, and avoided, at once
     for callback in edge._impl.update_cb:
-        callback(SimpleNamespace(client=object(), target=edge))
+        asyncio.run(callback(SimpleNamespace(client=object(), target=edge)))
     assert panel._values["obstacles"] == 3 and panel._values["obstacle"][7] == 0.8
-    assert drawn[-1] == (0.8,) * 3
+    assert tuple(drawn.dimensions) == (0.8,) * 3
     press("Take away")
     assert not panel._box.visible and panel._values["obstacles"] == 4 and not panel._values["obstacle"].any()
     move()

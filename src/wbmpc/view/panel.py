@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
 
@@ -258,7 +258,7 @@ class Panel:
             handle.position, handle.wxyz = pose[:3], pose[3:]
 
 
-def in_order(act: Callable[[], None]) -> Callable[[Any], Awaitable[None]]:
+def in_order(act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
     """A callback that the server waits for: others it calls in several threads, where two clicks race, and the later one may come first."""
 
     async def called(event: Any) -> None:
