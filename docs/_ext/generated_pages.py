@@ -122,6 +122,8 @@ def settings_tables() -> str:
     parts = [_section(title, model) for title, model in shared]
     sections = (("mpc.", MpcSettings), ("control.", ControlSettings), ("plant.", AnyPerturbation))
     usual = {row for prefix, model in sections for row in _rows(model, prefix)}
+    # where the robot may be kinematic too, these are MuJoCo's
+    usual |= {(f"{key} of `plant=mujoco`", *rest) for key, *rest in usual if key.startswith("`plant.")}
     for name, experiment in experiments.items():
         parts.append(_section(f"`{name}`", experiment.config_type, usual))
     parts += [_section("A ROS 2 node's file", RosSettings), _section("A robot's file", RobotDescription)]
