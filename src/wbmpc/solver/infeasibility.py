@@ -328,8 +328,9 @@ def detect_infeasibility(m: Floats, o: Integers, s: Floats) -> bool:
 
 
 # ---------------------------------------------------------------------- after a solve
-#: Iterations at most of a solve that minimizes φ: where constraints are nearly parallel it takes hundreds.
-STEPS = 1000
+#: Iterations at most of a solve that minimizes φ: where constraints are nearly parallel it takes hundreds; of the interpreted twin, whose
+#: iterations take thousands of times as long.
+STEPS, INTERPRETED_STEPS = 1000, 100
 
 
 class Finding(Enum):
@@ -343,7 +344,9 @@ class Finding(Enum):
 def violation_solver(solver: Solver) -> Solver:
     """Minimizes φ of all rows that must hold."""
     ocp = violation_problem(solver.problem, rows_that_must_hold(solver.problem))
-    return type(solver)(ocp, SQP(STEPS, backend=solver.settings.backend), solver.use_cache)
+    backend = solver.settings.backend
+    steps = STEPS if backend == "compiled" else INTERPRETED_STEPS
+    return type(solver)(ocp, SQP(steps, backend=backend), solver.use_cache)
 
 
 def least_violation(solver: Solver) -> Finding:
