@@ -66,6 +66,7 @@ class MobileBase(PlanarBase):
         assert isinstance(description.base, MobileBaseDescription)
         casters = np.array(description.base.casters).reshape(-1, 2)
         self.footprint = standing_on(PointFootprint(casters, [f"caster {i}" for i in range(len(casters))], True))
+        self.feet_of_rows = []  # what it counts are speeds
 
     def _check_rank(self, description: RobotDescription) -> None:
         """Nothing: there are no wheels."""

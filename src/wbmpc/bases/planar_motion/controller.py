@@ -11,10 +11,14 @@ from wbmpc.bases.planar_motion.model import planar_base
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
+from wbmpc.bases.planar_motion.wheel_trust import WheelTrust
 from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
+
+#: Interval [s] in which loads of wheels are computed: drives lag by more.
+WEIGHED = 0.01
 
 
 class PlanarController:
@@ -41,6 +45,8 @@ class PlanarController:
         self._moving = robot.input["base"]  # the inputs that turn wheels
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
+        self._changes = np.zeros(robot.input.size)  # how fast these change
+        self._trust, self._weighed = WheelTrust.of(robot), -np.inf
         self.measured: PlanarMeasurement | None = None
         self.clamped = False
         self.target, self.sent = np.zeros((2, robot.input.size))
@@ -56,7 +62,15 @@ class PlanarController:
         numbers("controller", "arm", measurement.arm, len(self.robot.state.groups["arm"]))
         previous, self.measured = self.measured or measurement, measurement
         self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, self.turning(previous, measurement))
+        if self._trust is not None and abs(measurement.time - self._weighed) > WEIGHED - 1e-9:
+            self._weighed = measurement.time
+            self.odometry.weigh(self._trust(self._posture(measurement), self._rates, self._changes))
         self.note_lean(previous, measurement)
+
+    def _posture(self, measurement: PlanarMeasurement) -> Array:
+        """A state (nx) with measured joints, the base anywhere."""
+        steer = {"steer": measurement.steer} if "steer" in self.robot.state else {}
+        return self.robot.state.vector({**steer, "arm": measurement.arm})
 
     def note_lean(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> None:
         """How far the base leans on its casters, where messages of the inertial unit came."""
@@ -153,7 +167,8 @@ class PlanarController:
 
     def _note(self, sent: Array) -> None:
         self.sent = sent
-        self._rates = self._rates + self._blend * (sent - self._rates)
+        self._changes = self._blend / self.period * (sent - self._rates)
+        self._rates = self._rates + self._changes * self.period
 
     def _limited(self, sent: Array, u: Array) -> tuple[Array, bool]:
         """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period, all drives by

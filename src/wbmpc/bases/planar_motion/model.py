@@ -98,6 +98,8 @@ class PlanarBase:
         )
         self.wheels, self.balances = 0, False  # no constraint makes the wheels roll: their rates follow from the input
         self.ground, self.body_height = 0.0, wheels.height
+        #: feet whose wheel is in each row of the odometry
+        self.feet_of_rows: list[int] = list(range(len(self.rates)))
         limits, driven = description.limits, section(description).wheel_joints()
         self.wheel_upper = np.array([limits.velocity.get(n, np.inf) for n in driven])
         self.wheel_acceleration = np.array([limits.acceleration.get(n, np.inf) for n in driven])

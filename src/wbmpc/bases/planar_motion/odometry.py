@@ -118,15 +118,25 @@ class PlanarOdometry:
 
     def __init__(self, twist: Array, rates: Array, pose0: ArrayLike, wheels: WheelErrors | None = None) -> None:
         self.wheels = wheels or WheelErrors.unknown(*rates.shape)
-        rates = self.wheels.corrected(rates)
-        self._twist, self._rates = twist, rates
-        self._fit, self._fit_linear = np.linalg.pinv(rates), np.linalg.pinv(rates[:, :-1])
+        self._twist, self._weights = twist, np.ones(len(rates))
+        self._fit_to(self.wheels.corrected(rates))
         self.pose = numbers("odometry", "pose0", pose0, 3).copy()
         self.gyro = GyroFilter(self.wheels.of_turn(len(rates)))
         self.residual: Array = np.zeros(len(rates))
         self._last: tuple[float, Array] | None = None
         self._repetition = Repetition()
         self._anchor: tuple[float, Array] = (0.0, np.zeros(len(rates)))  # since when the wheels are where they are
+
+    def weigh(self, weights: Array) -> None:
+        """How much each wheel (n) counts from now on where they contradict each other."""
+        self._weights = weights
+        self._fit_to(self._rates)
+
+    def _fit_to(self, rates: Array) -> None:
+        root = np.sqrt(self._weights)
+        weighted = root[:, None] * rates
+        self._rates = rates
+        self._fit, self._fit_linear = np.linalg.pinv(weighted) * root, np.linalg.pinv(weighted[:, :-1]) * root
 
     def update(self, time: float, wheel: ArrayLike, yaw_rate: float | None) -> Array:
         """The pose after wheel angles (n) [rad] at ``time`` [s]; ``yaw_rate`` [rad/s]: mean of the gyro since the last call, None

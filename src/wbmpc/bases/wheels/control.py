@@ -52,8 +52,7 @@ class WheelsOdometry(PlanarOdometry):
         rows = self.wheels.corrected(self._base.by_input(np.vstack([roll, side])))
         # rotation of the wheels without the part that steering alone causes
         self._shown = self._shown + np.concatenate([w - w0, np.zeros(len(side))]) - rows[:, speeds:] @ (s - s0)
-        self._rates = rows[:, :speeds]
-        self._fit, self._fit_linear = np.linalg.pinv(self._rates), np.linalg.pinv(self._rates[:, :-1])
+        self._fit_to(rows[:, :speeds])
         rolled = float(np.abs(w - w0).max(initial=0.0))
         if rolled > 0.0:
             spread = self._twist @ self._fit * (SLIP * rolled)
@@ -141,4 +140,4 @@ class WheelsController(PlanarController):
         super()._note(sent)
         self.planned = self.planned + sent[self._steer] * self.period
         self._turning = self._turning + self._blend * (sent[self._steer] - self._turning)
-        self._rates[self._steer] = 0.0  # planned angles do not lag
+        self._rates[self._steer] = self._changes[self._steer] = 0.0  # planned angles do not lag

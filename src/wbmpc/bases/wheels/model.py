@@ -151,6 +151,8 @@ class WheelsBase(PlanarBase):
         super().__init__(description, tree, wheels, np.vstack([roll, side])[:, :3], names, twist)
         assert isinstance(description.base, WheelsBaseDescription)
         self.footprint = standing_on(WheelsFootprint(self, description.base), np.concatenate([np.zeros(3), home]))
+        contacts = list(enumerate(self.wheel_contacts))
+        self.feet_of_rows = [i for i, c in contacts if c.driven] + [i for i, c in contacts if c.roller is None]
 
     def matrices(self, steer: Any) -> tuple[Any, Any]:
         """Rows (k, 3 + s) of the body's twist and s steering rates: rates [rad/s] of driven wheels, and how fast tires slip sideways over
