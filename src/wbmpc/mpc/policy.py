@@ -24,6 +24,7 @@ class InputLimits:
     feedback adds: u = u_ff + s (u − u_ff), for every group of inputs that rows couple with the largest s in [0, 1] that holds its
     rows. Other groups, and inputs in no row, keep their feedback: a base at its limit must not take the balance from a pole.
     Where bounds move with a reference or count in some modes alone, their rows are in ``matrix``, and cut inputs one by one too.
+    Rows that a plan misses because of bounds that move are met by inputs that may still move.
     """
 
     def __init__(

@@ -21,6 +21,8 @@ LIBRARY = Library("policy", packages=("solver", "kernel", "ocp"))
 compiled = LIBRARY.step
 #: Share of a bound (or of 1, where that is more) beyond which an input counts as cut: the rest is rounding.
 ROUNDING = 1e-9
+#: Turns in which rows of several inputs are met beside the bounds of single ones.
+TURNS = 20
 #: What became of an input.
 FINE, CUT, NOT_FINITE = 0, 1, -1
 
@@ -187,6 +189,34 @@ def scale_back(
 
 
 @compiled
+def meet(u: Floats, limits: Floats, r: int, nu: int, active: Floats, k: int, room: Floats) -> bool:
+    """Rows of several inputs that a plan misses between its nodes, or by inputs that were cut, are met by inputs that may still go
+    their way: each row by the least change, in turns (alternating projections), :data:`TURNS` at most. Returns whether there were any."""
+    matrix, offset, single, found = 2 * nu, 3 * nu, 2 * nu + 2 * r * nu + r, False
+    for _ in range(TURNS):
+        missed = False
+        for row in range(r):
+            if active[k * r + row] <= 0.0 or limits[single + row] >= 0.0:
+                continue
+            lacks, slope = -room[offset + row], 0.0
+            for i in range(nu):
+                a = limits[matrix + row * nu + i]
+                lacks -= a * u[i]
+                if (a > 0.0 and u[i] < room[nu + i]) or (a < 0.0 and u[i] > room[i]):
+                    slope += a * a
+            if lacks <= ROUNDING or slope <= 0.0:
+                continue
+            missed, found = True, True
+            for i in range(nu):
+                a = limits[matrix + row * nu + i]
+                if (a > 0.0 and u[i] < room[nu + i]) or (a < 0.0 and u[i] > room[i]):
+                    u[i] = min(max(u[i] + lacks / slope * a, room[i]), room[nu + i])
+        if not missed:
+            break
+    return found
+
+
+@compiled
 def within(
     u: Floats, inputs: Floats, k: int, limits: Floats, active: Floats, r: int, nu: int, moved: bool, feedback: bool,
     room: Floats,
@@ -199,11 +229,12 @@ def within(
         for row in range(r):
             room[3 * nu + row] = limits[2 * nu + r * nu + row]
     row_bounds(limits, r, nu, active, k, room)
-    far = clip(u, nu, room)
+    cut, scaled = clip(u, nu, room), False
     if feedback and scale_back(u, inputs, limits, r, nu, active, k, room):
-        far = True
-        clip(u, nu, room)  # a plan that is outside itself
-    return far
+        scaled = True
+        cut = clip(u, nu, room) or cut  # a plan that is outside itself
+    met = (cut or moved) and meet(u, limits, r, nu, active, k, room)
+    return cut or scaled or met
 
 
 @compiled
