@@ -10,15 +10,20 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.bases.base import Base as Base
     from wbmpc.bases.base import BaseDescription as BaseDescription
     from wbmpc.bases.base import BaseType as BaseType
+    from wbmpc.bases.base import Reshaping as Reshaping
     from wbmpc.bases.base import System as System
     from wbmpc.bases.footprint import Footprint as Footprint
     from wbmpc.clearance.lattice import plan_route as plan_route
+    from wbmpc.control.protocols import Controller as Controller
+    from wbmpc.control.protocols import RobotController as RobotController
+    from wbmpc.default_problem import default_mpc as default_mpc
     from wbmpc.embedded.exporter import export as export
     from wbmpc.errors import InputError as InputError
     from wbmpc.errors import NoRoute as NoRoute
     from wbmpc.errors import SolveFailed as SolveFailed
     from wbmpc.errors import SolverBusy as SolverBusy
     from wbmpc.errors import WbmpcError as WbmpcError
+    from wbmpc.estimation.offset import OffsetObserver as OffsetObserver
     from wbmpc.experiment import Experiment as Experiment
     from wbmpc.experiment import Loop as Loop
     from wbmpc.experiment import Scenario as Scenario
@@ -72,13 +77,18 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.result import RunResult as RunResult
     from wbmpc.result import Series as Series
     from wbmpc.robots import RobotDescription as RobotDescription
+    from wbmpc.robots import load_spec as load_spec
+    from wbmpc.ros2 import open_node as open_node
+    from wbmpc.runtime.clock import VirtualClock as VirtualClock
     from wbmpc.runtime.clock import WallClock as WallClock
     from wbmpc.runtime.runner import RealTimeRunner as RealTimeRunner
     from wbmpc.runtime.safety import RealTimeSettings as RealTimeSettings
+    from wbmpc.runtime.shared_memory import Sizes as Sizes
     from wbmpc.runtime.stop_control import RobotInterface as RobotInterface
     from wbmpc.simulation.inline import show as show
     from wbmpc.simulation.lockstep import Watch as Watch
     from wbmpc.simulation.lockstep import run_lockstep as run_lockstep
+    from wbmpc.simulation.perturbation import Perturbation as Perturbation
     from wbmpc.solver import ILQR as ILQR
     from wbmpc.solver import SLQ as SLQ
     from wbmpc.solver import SQP as SQP
@@ -92,8 +102,11 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.tasks.settings import SimulationSettings as SimulationSettings
     from wbmpc.tasks.settings import TaskSettings as TaskSettings
     from wbmpc.tasks.simulation import simulate as simulate
+    from wbmpc.types import Edit as Edit
     from wbmpc.types import Observation as Observation
+    from wbmpc.types import SimulatedRobot as SimulatedRobot
     from wbmpc.types import Timing as Timing
+    from wbmpc.types import Truth as Truth
 
 __version__ = "0.2.0"
 
@@ -164,6 +177,7 @@ _MODULES = {
     "FramePose": "wbmpc.model.kinematics",
     "read_tree": "wbmpc.model.tree",
     "RobotDescription": "wbmpc.robots",
+    "load_spec": "wbmpc.robots",
     "Trajectory": "wbmpc.solver",
     "PolicyQueue": "wbmpc.mpc.policy_queue",
     "Timing": "wbmpc.types",
@@ -186,6 +200,18 @@ _MODULES = {
     "closed_loop": "wbmpc.tasks.loop",
     "simulate": "wbmpc.tasks.simulation",
     "show": "wbmpc.simulation.inline",
+    "Perturbation": "wbmpc.simulation.perturbation",
+    "Edit": "wbmpc.types",
+    "SimulatedRobot": "wbmpc.types",
+    "Truth": "wbmpc.types",
+    "Controller": "wbmpc.control.protocols",
+    "RobotController": "wbmpc.control.protocols",
+    "Reshaping": "wbmpc.bases.base",
+    "VirtualClock": "wbmpc.runtime.clock",
+    "Sizes": "wbmpc.runtime.shared_memory",
+    "OffsetObserver": "wbmpc.estimation.offset",
+    "default_mpc": "wbmpc.default_problem",
+    "open_node": "wbmpc.ros2",
 }
 __all__ = ["__version__", *_MODULES]
 

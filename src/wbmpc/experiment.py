@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from wbmpc.control.protocols import Controller
+from wbmpc.control.protocols import RobotController
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.mpc.mpc import MPC
@@ -83,7 +83,7 @@ class Outcome:
 
     ending: Ending = field(default_factory=Ending)
     faults: Sequence[str] = ()
-    controller: Controller | None = None
+    controller: RobotController | None = None
     mpc: MPC | None = None
 
 
@@ -98,7 +98,7 @@ class Loop:
     """
 
     plant: Plant[Any, Any]
-    controller: Controller
+    controller: RobotController
     mpc: MPC | None
     timing: Timing
     duration: float

@@ -19,7 +19,7 @@ def _milliseconds(solver: Solver, x0: np.ndarray) -> float:
         times = []
         for _ in range(25):
             start = time.process_time()
-            solver.run(x0)
+            solver._run(x0)
             times.append(time.process_time() - start)
         medians.append(float(np.median(times)))
     return 1e3 * min(medians)

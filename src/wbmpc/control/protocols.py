@@ -27,28 +27,28 @@ CommandT = TypeVar("CommandT", covariant=True)
 
 
 class Controller(Protocol[MeasurementT, CommandT]):
-    """What stands between measurements, MPC and commands of one robot. Times in s."""
+    """What stands between measurements, MPC and commands of one robot, as the real-time runner asks it. Times in s."""
 
     def measure(self, measurement: MeasurementT) -> None:
         """Process the measurement of this tick."""
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """The state for which the next policy is computed: at ``until`` [s], under the policies that are active until then."""
+        """The state for which the next policy is computed: at ``until`` [s], under the policies that are active from ``t`` [s] until then."""
 
     def command(self, t: float, plans: PolicyQueue) -> CommandT:
         """The command for the tick at ``t`` [s]."""
 
-    def stop(self) -> CommandT:
-        """The command that brings the robot to rest."""
-
 
 class RobotController(Controller[MeasurementT, CommandT], Protocol):
-    """A controller of a ``robot`` whose state views and experiments show."""
+    """A controller of a ``robot`` whose state views and experiments show, and which they stop."""
 
     robot: RobotModel
 
     def state(self) -> NDArray[np.float64]:
         """The state (nx) as estimated at the last measurement."""
+
+    def stop(self) -> CommandT:
+        """The command that brings the robot to rest."""
 
 
 @runtime_checkable

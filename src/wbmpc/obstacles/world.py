@@ -23,7 +23,6 @@ from wbmpc.obstacles.shapes import (
     HalfSpace,
     Shape,
     Sphere,
-    unit_quaternion,
 )
 
 Array = NDArray[np.float64]
@@ -133,7 +132,7 @@ class Obstacles:
             key = "expire" if np.isfinite(expire) else "max_age"
             raise InputError(f"{who}: '{key}' counts from 'seen', which is left out")
         found = Obstacle(
-            name, shape, checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation),
+            name, shape, checks.numbers(who, "position", position, 3).copy(), checks.unit_quaternion(who, "orientation", orientation),
             checks.numbers(who, "velocity", velocity, 3).copy(), float(std), float(velocity_std),
             np.nan if seen is None else float(seen), float(expire), frame, float(max_age), _frames(who, ignore),
         )  # fmt: skip
@@ -174,7 +173,7 @@ class Obstacles:
             raise InputError(f"{who}: another name than '{WORLD}' is needed")
         pose = (
             checks.numbers(who, "position", position, 3).copy(),
-            unit_quaternion(who, "orientation", orientation),
+            checks.unit_quaternion(who, "orientation", orientation),
         )
         checks.at_most(who, LARGEST, position=pose[0])
         with self._lock:

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from wbmpc.control.protocols import Controller
+from wbmpc.control.protocols import RobotController
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.mpc import MPC
@@ -93,7 +93,7 @@ class BaseAdapter(Protocol):
     mpc: MPC
     obstacles: Obstacles | None
     pending: PendingChanges
-    controller: Controller
+    controller: RobotController
     watches: str
     must_keep_running: bool = False
     needs_imu: bool = False
