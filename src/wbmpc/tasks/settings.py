@@ -14,6 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
+from wbmpc.robots.examples import EXAMPLES
 from wbmpc.settings import (
     COMPUTATION_DELAY,
     NoStability,
@@ -69,7 +70,7 @@ class TaskSettings(SimulationSettings):
     "nothing" for plans that know of no obstacles, to compare with; ``stability``: what keeps a robot from tipping over that stops fast
     with a load. The others (``physics``, ``plant``, ``computation_delay``, ``settle_time``, ``obstacles``): :class:`SimulationSettings`."""
 
-    robot: Robot = "differential-ur10"
+    robot: Robot = EXAMPLES["any"]
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})
     avoid: Literal["obstacles", "nothing"] = "obstacles"

@@ -7,8 +7,9 @@ import numpy as np
 from wbmpc.robots import RobotDescription
 
 Array = np.ndarray
-#: Names of the groups; ``drives`` are those of a base that are commanded by torque: the others' limits are speeds.
-GROUPS = ("arm", "legs", "steering", "wheels", "drives")
+#: Numbers of the groups that a robot may have, in their order: arm, those of its base by their captions, and ``drives`` that are
+#: commanded by torque: the others' limits are speeds.
+GROUPS = tuple(f"load {i}" for i in range(6))
 
 
 class Loads:
@@ -28,17 +29,17 @@ class Loads:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups that this robot has, of :data:`GROUPS`."""
-        return (*self._places, *(("drives",) if np.isfinite(self._torques).any() else ()))
+        """Names of the groups that this robot has, as many as there are :data:`GROUPS`."""
+        return (*self._places, *(("drives",) if np.isfinite(self._torques).any() else ()))[: len(GROUPS)]
 
     def shares(self, speeds: Array, forces: Array | None = None) -> dict[str, float]:
-        """The largest speed over its limit of each group, nan for groups that there are not.
+        """The largest speed over its limit of each group, by :data:`GROUPS`; nan for groups that there are not.
 
         ``speeds`` (joints) [rad/s]; ``forces``: of all drives [N m], those commanded by torque first (left out: not
         known).
         """
         ratio = np.abs(speeds) / self._limits
-        found = {group: float(ratio[places].max()) for group, places in self._places.items()}
+        found = [float(ratio[places].max()) for places in self._places.values()]
         if forces is not None and "drives" in self.groups:
-            found["drives"] = float((np.abs(forces[: self._torques.size]) / self._torques).max())
-        return {group: found.get(group, np.nan) for group in GROUPS}
+            found.append(float((np.abs(forces[: self._torques.size]) / self._torques).max()))
+        return {**dict.fromkeys(GROUPS, np.nan), **dict(zip(GROUPS, found, strict=False))}

@@ -14,6 +14,7 @@ from viser import uplot
 
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view import bounds
+from wbmpc.view.actuator_load import GROUPS
 from wbmpc.view.capture import add_capture
 from wbmpc.view.history import History
 from wbmpc.view.rejection import Rejection
@@ -30,11 +31,8 @@ _ANSWER = 1.0
 _HELD = 10.0
 #: Where a box is put first (3) [m].
 AHEAD = (1.5, 0.0, 0.3)
-#: Lines of the drives' groups: name and color.
-_LINES = {
-    "arm": ("arm", "#2a9d6f"), "legs": ("legs", "#8a5fbf"), "steering": ("steering", "#b7791f"),
-    "wheels": ("wheels", "#1f5fa8"), "drives": ("wheels (torque)", "#1f5fa8"),
-}  # fmt: skip
+#: Colors of the drives' groups, in their order.
+_COLORS = ("#2a9d6f", "#8a5fbf", "#b7791f", "#1f5fa8", "#c8102e", "#555555")
 #: A plot: its title, and its lines: number, name, color, factor.
 _Line = tuple[str, str, str, float]
 
@@ -280,7 +278,7 @@ def plotted(controls: Controls) -> dict[str, tuple[_Line, ...]]:
     if controls.groups:
         # in percent: the axis has three decimals, and shares of a robot that hardly moves would all be 0
         figures["Speeds / limits, largest of each [%]"] = tuple(
-            (group, *_LINES[group], 100.0) for group in controls.groups
+            (*line, 100.0) for line in zip(GROUPS, controls.groups, _COLORS, strict=False)
         )
     if not controls.paced:
         figures["Tick begins late [ms]"] = (("late", "late", "#8a5fbf", 1e3),)

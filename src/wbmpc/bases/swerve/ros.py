@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,20 +20,31 @@ from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.bases.swerve.ros_legs import Legs, Now
+from wbmpc.bases.swerve.ros_leg_control import LegControl
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of, spatial_covariance
-from wbmpc.ros2.bus import Node
+from wbmpc.ros2.base_adapter import (
+    BaseAdapter,
+    Estimate,
+    Fix,
+    Groups,
+    Orders,
+    PendingChanges,
+    obstacles_of,
+    spatial_covariance,
+)
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
+
+if TYPE_CHECKING:
+    from wbmpc.ros2.control import ControlNode
 
 Array = np.ndarray
 #: The monitor of brakes takes so many ticks at once at most: 10 s of them.
@@ -179,8 +191,10 @@ class BusSwerveController(SwerveController):
 
 
 class SwerveRosAdapter(BaseAdapter):
-    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`."""
+    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. ``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they
+    are)."""
 
+    settings: SwerveRosSettings
     watches = "brakes"
     controller: BusSwerveController
     brakes: BrakeControl | None
@@ -252,9 +266,9 @@ class SwerveRosAdapter(BaseAdapter):
         """The controller's problem with other weights."""
         return swerve_problem(self.robot, self.settings.mpc, cost, accelerations=True)
 
-    def leg_commands(self, node: Node, ready: Callable[[], str], now: Callable[[], Now | None]) -> Legs | None:
-        """Of legs with brakes."""
-        return None if self.brakes is None else Legs(node, self.robot, self.settings, ready, now)
+    def orders(self, control: ControlNode) -> Orders:
+        """To legs with brakes."""
+        return Orders() if self.brakes is None else LegControl(control, self)
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:
