@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -128,6 +128,8 @@ class RailPlant:
 
 class RailController:
     """Follows the MPC's policy from the measured state."""
+
+    faults: Sequence[wb.Fault] = ()
 
     def __init__(self, robot: wb.RobotModel) -> None:
         self.robot, self._x = robot, robot.home

@@ -15,6 +15,8 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.bases.footprint import Footprint as Footprint
     from wbmpc.clearance.lattice import plan_route as plan_route
     from wbmpc.control.protocols import Controller as Controller
+    from wbmpc.control.protocols import Fault as Fault
+    from wbmpc.control.protocols import Monitor as Monitor
     from wbmpc.control.protocols import RobotController as RobotController
     from wbmpc.default_problem import default_mpc as default_mpc
     from wbmpc.embedded.exporter import export as export
@@ -205,6 +207,8 @@ _MODULES = {
     "SimulatedRobot": "wbmpc.types",
     "Truth": "wbmpc.types",
     "Controller": "wbmpc.control.protocols",
+    "Fault": "wbmpc.control.protocols",
+    "Monitor": "wbmpc.control.protocols",
     "RobotController": "wbmpc.control.protocols",
     "Reshaping": "wbmpc.bases.base",
     "VirtualClock": "wbmpc.runtime.clock",

@@ -93,8 +93,7 @@ class Loop:
     ``timing``.
 
     ``record(t, command, plans)`` is called once per controller period, before the command acts; ``done()`` after it: whether the loop ends
-    early, its task done. A controller that monitors
-    something has ``faults``, a sequence of str.
+    early, its task done.
     """
 
     plant: Plant[Any, Any]
@@ -110,7 +109,7 @@ class Loop:
         ending = run_lockstep(
             self.plant, self.controller, self.mpc, self.timing, self.duration, self.record, progress, self.done
         )
-        return Outcome(ending, list(getattr(self.controller, "faults", ())), self.controller, self.mpc)
+        return Outcome(ending, list(map(str, self.controller.faults)), self.controller, self.mpc)
 
 
 @dataclass(frozen=True)

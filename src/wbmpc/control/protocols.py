@@ -1,4 +1,4 @@
-"""What controllers are made of: the protocols that loops, real-time runners and base types ask, and nothing else.
+"""What controllers are: the protocols that loops, real-time runners and base types ask, and nothing else.
 
 A controller is assembled from parts: an estimator, monitors, the prediction over the delay, the law that follows a policy.
 """
@@ -6,7 +6,7 @@ A controller is assembled from parts: an estimator, monitors, the prediction ove
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from wbmpc.types import Observation
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
 
-__all__ = ["Controller", "Estimator", "Fault", "Monitor", "RobotController"]
+__all__ = ["Controller", "Fault", "Monitor", "RobotController"]
 
 
 #: Messages of one robot: what its controller reads and what it returns.
@@ -44,20 +44,12 @@ class RobotController(Controller[MeasurementT, CommandT], Protocol):
 
     robot: RobotModel
 
+    @property
+    def faults(self) -> Sequence[Fault]:
+        """What was found in this run: of sensors, brakes, forces."""
+
     def state(self) -> NDArray[np.float64]:
         """The state (nx) as estimated at the last measurement."""
 
     def stop(self) -> CommandT:
         """The command that brings the robot to rest."""
-
-
-@runtime_checkable
-class Estimator(Protocol[MeasurementT]):
-    """From measurements to the state of the model."""
-
-    def update(self, measurement: MeasurementT) -> NDArray[np.float64]:
-        """The state x (nx) after the newest measurement."""
-
-    @property
-    def faults(self) -> Sequence[str]:
-        """What is wrong with the last measurement; empty where nothing is."""

@@ -95,7 +95,7 @@ class BaseAdapter(Protocol):
 
     @property
     def faults(self) -> list[str]:
-        return []
+        return list(map(str, self.controller.faults))
 
     def fall(self, x: Array) -> str:  # what need not be kept running does not fall
         return ""

@@ -12,6 +12,7 @@ from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.control.monitor import Fault, Monitor, found_by
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
@@ -26,6 +27,7 @@ class PlanarController:
     measured state by it; ``use_gyro``: whether the odometry has one; ``wheels``: what is known of the wheels' errors.
     ``target`` (nu): what the plan asks for; ``sent`` (nu): what of
     it the last command was, after limits; ``clamped``: whether wheels were slowed down to their limits.
+    ``monitors`` of measurements find ``faults``.
     """
 
     def __init__(
@@ -50,6 +52,8 @@ class PlanarController:
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
         self.measured: PlanarMeasurement | None = None
+        self.monitors: list[Monitor[PlanarMeasurement]] = []
+        self.faults: list[Fault] = []
         self.clamped = False
         self.target, self.sent = np.zeros((2, robot.input.size))
 
@@ -65,6 +69,7 @@ class PlanarController:
         previous, self.measured = self.measured or measurement, measurement
         self.odometry.turn(measurement.time, measurement.wheel, measurement.steer, self.turning(previous, measurement))
         self.note_lean(previous, measurement)
+        self.faults += found_by(self.monitors, measurement)
 
     def note_lean(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> None:
         """How far the base leans on its casters, where messages of the inertial unit came."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
-from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
-from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, Tick, brake_monitor
+from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, brake_monitor
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
@@ -138,16 +138,16 @@ class DeferredMonitor:
 
     def __init__(self, monitor: BrakeMonitor) -> None:
         self.monitor = monitor
-        self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
+        self.ticks: deque[SwerveReadings] = deque(maxlen=BACKLOG)
 
     @property
     def real(self) -> list[BrakeFault]:
         """As of the monitor."""
         return self.monitor.real
 
-    def update(self, t: float, leg: Array, brake: Array, rate: Array, /) -> list[BrakeFault]:
+    def update(self, readings: SwerveReadings, /) -> list[BrakeFault]:
         """Nothing is found yet."""
-        self.ticks.append((t, leg, brake, rate))
+        self.ticks.append(readings)
         return []
 
     def restart_clock(self) -> None:
@@ -157,7 +157,7 @@ class DeferredMonitor:
     def judged(self) -> Iterator[BrakeFault]:
         """What the monitor finds in the ticks that were kept."""
         while self.ticks:
-            yield from self.monitor.update(*self.ticks.popleft())
+            yield from self.monitor.update(self.ticks.popleft())
 
 
 class BusSwerveController(SwerveController):
