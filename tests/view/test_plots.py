@@ -13,8 +13,10 @@ from wbmpc.view.actuator_load import GROUPS, Loads
 from wbmpc.view.history import POINTS, SAMPLES, SPAN, History, Trail
 from wbmpc.view.leg_configuration import LegConfiguration, configuration_text
 from wbmpc.view.snapshot import TRAIL, errors, status_text
+from wbmpc.view.steering import Controls
 
 pytest.importorskip("viser")
+from wbmpc.view.panel import plotted
 from wbmpc.view.replay_plots import POINTS as POINTS_OF_REPLAYS
 from wbmpc.view.replay_plots import marked, thinned
 
@@ -46,6 +48,18 @@ def test_shares_of_the_limits_by_group() -> None:
     shares = loads.shares(np.array([0.1, -0.2, 1.0, 8.0, 1.57, 0.0, 1e3]))
     assert tuple(shares) == GROUPS
     assert list(shares.values()) == pytest.approx([0.5, 0.5, 0.2, 0.8, np.nan, np.nan], nan_ok=True)
+
+
+def test_groups_of_any_base_are_shown_by_its_captions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: the caption, and 0.1 of 0.4 rad/s."""
+    robot = load_description("swerve-ur10")
+    monkeypatch.setattr(type(robot.base), "captions", {"leg": "outriggers"})
+    loads = Loads(robot, ["leg_LF", "elbow_joint"])
+    assert loads.groups == ("arm", "outriggers")
+    shares = loads.shares(np.array([0.1, 0.0]))
+    assert shares[GROUPS[1]] == pytest.approx(0.1 / robot.limits.velocity["leg_LF"])
+    lines = [line[:2] for found in plotted(Controls("", (), False, False, loads.groups)).values() for line in found]
+    assert set(zip(GROUPS, loads.groups, strict=False)) <= set(lines)
 
 
 def test_shares_of_a_ball_robot() -> None:

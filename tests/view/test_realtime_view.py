@@ -101,7 +101,7 @@ def test_a_run_that_begins_anew_is_shown_anew() -> None:
         moments.write(t=t, late=0.0, x=x, ticks=1.0, misses=0.0)
         values = picture(message)
         trail = values["trail"]
-        return dict(zip(NUMBERS, values["numbers"], strict=True))["arm"], trail[np.isfinite(trail).all(axis=1)]
+        return dict(zip(NUMBERS, values["numbers"], strict=True))["load 0"], trail[np.isfinite(trail).all(axis=1)]
 
     far, fast = robot.home.copy(), robot.home.copy()
     far[robot.state["base"]] += [3.0, 0.0, 0.0]
