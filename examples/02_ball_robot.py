@@ -10,10 +10,7 @@ from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
-from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.settings import MpcSettings
-from wbmpc.simulation.lockstep import run_lockstep
-from wbmpc.types import Timing
 
 robot = wb.load_robot("rezero")
 home, torque = robot.base.numeric.equilibrium(robot.home[robot.state["arm"]])
@@ -29,17 +26,17 @@ mpc.reference["torque"] = wb.Reference.constant(torque)
 mpc.reset(home, torque)
 
 plant = BallPlant(robot.description, home, torque, seed=1)  # masses, friction, drive lag … differ from the model
-timing = Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.computation_delay)
+timing = wb.Timing.of(plant.timestep, control_rate=400.0, mpc_rate=settings.rate, delay=settings.computation_delay)
 controller = BallController(robot, mpc, torque, timing.period, DriveSettings(lag=0.02))
 end_effector: list[np.ndarray] = []
 
 
-def record(t: float, command: object, plans: PolicyQueue) -> None:
+def record(t: float, command: object, plans: wb.PolicyQueue) -> None:
     """Keep the end effector's true position at every controller tick."""
     end_effector.append(plant.truth().tool)
 
 
-ending = run_lockstep(plant, controller, mpc, timing, 6.0, record)
+ending = wb.run_lockstep(plant, controller, mpc, timing, 6.0, record)
 last = np.array(end_effector[-400:])
 print(ending.reason or "the robot stood for 6 s")
 print(f"end effector error in the last second: {1e3 * np.linalg.norm(last - aside, axis=1).mean():.2f} mm")

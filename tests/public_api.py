@@ -54,7 +54,10 @@ def _member(member: Any) -> str:
 
 def _signature(thing: Any) -> str:
     try:
-        return re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(thing)).replace("'", ""))
+        text = re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(thing)).replace("'", ""))
+        return re.sub(
+            r"\b(ge|gt|le|lt)=(-?\d+)\.0\)", r"\1=\2)", text
+        )  # 1 or 1.0: as the first of equal types was written
     except ValueError:
         return ""
 

@@ -146,6 +146,23 @@ def test_links_and_images_lead_somewhere(page: Path) -> None:
             assert anchor in anchors(file), f"{page.name}: {name or page.name} has no heading '#{anchor}'"
 
 
+#: Code of a page, and what it imports of the package.
+CODE_BLOCK = re.compile(r"^```(?:python|\{code-cell\}).*?\n(.*?)^```", re.DOTALL | re.MULTILINE)
+PRIVATE_IMPORT = re.compile(r"^\s*(?:from wbmpc\b|import wbmpc\b(?! as wb$)).*", re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda p: p.name)
+def test_programs_of_a_page_import_public_names_alone(page: Path) -> None:
+    found = [line for code in CODE_BLOCK.findall(page.read_text()) for line in PRIVATE_IMPORT.findall(code)]
+    assert not found, f"valid: import wbmpc as wb; {page.relative_to(ROOT)}: {found}"
+
+
+@pytest.mark.parametrize("line", ["from wbmpc.types import Timing", "import wbmpc.types", "    from wbmpc import MPC"])
+def test_a_private_import_of_a_page_is_found(line: str) -> None:
+    page = f"```{{code-cell}}\nimport wbmpc as wb\n{line}\n```\n"
+    assert [found for code in CODE_BLOCK.findall(page) for found in PRIVATE_IMPORT.findall(code)] == [line]
+
+
 def test_every_image_is_shown_somewhere() -> None:
     """A picture that no document shows is dead weight of the repository."""
     text = "".join(p.read_text() for p in pages())

@@ -165,6 +165,8 @@ class RailPlant:
 class RailController:
     """Follows the MPC's policy from the measured state."""
 
+    faults = ()
+
     def __init__(self, robot: RobotModel) -> None:
         self.robot, self._x = robot, robot.home
 

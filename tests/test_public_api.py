@@ -7,6 +7,7 @@ import difflib
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -50,6 +51,11 @@ def test_a_program_solves_and_controls_with_public_names_alone() -> None:
     assert np.linalg.norm(user_program.control(start, 100)) < 1e-3
 
 
+def test_a_program_runs_a_robot_in_real_time_with_public_names_alone() -> None:
+    # truth: the origin, where the model's costs are least
+    assert np.linalg.norm(user_program.run(np.array([1.0, 0.0]), 6.0)) < 1e-2
+
+
 def test_a_robot_takes_the_programs_problem() -> None:
     robot = wb.load_robot("differential-ur10")
     assert list(user_program.problem_of(robot).terms) == ["end_effector", "speed", "limits"]
@@ -73,19 +79,45 @@ ROBOT = """{name: rail, model: rail.xml, base: {type: rail, body: beam, axis: sl
   home: {elbow: 0.5}, limits: {velocity: {slide: 0.4, elbow: 1.0}}}"""
 
 
-def test_a_base_type_of_public_names_loads_and_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def rail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[wb.RobotModel]:
+    """A robot of the user's base type."""
     monkeypatch.setitem(bases.TABLE, "rail", "user_base_type:RailBaseType")
     bases._locations.cache_clear()
     (tmp_path / "rail.xml").write_text(RAIL)
     (tmp_path / "rail.yaml").write_text(ROBOT)
-    robot = wb.load_robot(tmp_path / "rail.yaml")
+    yield wb.load_robot(tmp_path / "rail.yaml")
     monkeypatch.undo()
     bases._locations.cache_clear()
     bases.base_type.cache_clear()
+
+
+def test_a_base_type_of_public_names_loads_and_plans(rail: wb.RobotModel) -> None:
     # truth: by hand
-    np.testing.assert_allclose(robot.pose([0.7, 0.5])[0], [0.7 + 0.3 * np.cos(0.5), 0.3 * np.sin(0.5), 0.0], atol=1e-12)
-    np.testing.assert_allclose(robot.home, [0.0, 0.5])
-    np.testing.assert_allclose(robot.limits.input_upper, [0.4, 1.0])
+    np.testing.assert_allclose(rail.pose([0.7, 0.5])[0], [0.7 + 0.3 * np.cos(0.5), 0.3 * np.sin(0.5), 0.0], atol=1e-12)
+    np.testing.assert_allclose(rail.home, [0.0, 0.5])
+    np.testing.assert_allclose(rail.limits.input_upper, [0.4, 1.0])
+
+
+def test_a_base_type_of_public_names_is_simulated(rail: wb.RobotModel) -> None:
+    system = wb.base_type("rail").system(rail, 0)
+    position, orientation = rail.pose([0.3, 0.5])
+    system.mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position], orientation)
+    system.mpc.reset(rail.home)
+    ending = wb.run_lockstep(*system.parts, 4.0, lambda t, command, plans: None)
+    # truth: MuJoCo's site; drives that follow speeds at once leave no error at rest
+    assert not ending.reason
+    np.testing.assert_allclose(system.plant.truth().tool[:2], position[:2], atol=5e-3)
+
+
+def test_programs_pass_mypy_strict_without_a_configuration(tmp_path: Path) -> None:
+    """As a user runs it, on the files alone: the types of the package have to be found and right."""
+    files = [str(program.__file__) for program in (user_program, user_base_type)]
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--config-file=", f"--cache-dir={tmp_path}", *files],
+        cwd=tmp_path, env={**os.environ, "MYPYPATH": str(SOURCE.parents[1])}, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("program", [user_program, user_base_type])

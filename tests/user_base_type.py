@@ -1,14 +1,17 @@
-"""A base type of somebody who has installed the package: everything is reached through ``wb``. `mypy` checks it as strictly as
-``--strict`` does (pyproject.toml), and tests/test_public_api.py loads a robot with it."""
+"""A base type of somebody who has installed the package: everything is reached through ``wb``. tests/test_public_api.py checks it with
+``mypy --strict``, and loads and runs a robot with it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import casadi as ca
-import mujoco
+import mujoco  # type: ignore[import-untyped]  # MuJoCo has no types
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 import wbmpc as wb
 
@@ -69,6 +72,94 @@ class RailBase:
         return wb.joint_home(self, robot.description, tuple(self.state))
 
 
+class RailPerturbation(wb.Perturbation):
+    """``bend`` [rad]: how far the cart's encoder is off."""
+
+    bend: float = Field(default=0.0, ge=0, le=1)
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """A command: of cart and arm [m/s, rad/s]."""
+
+    values: Array
+
+
+class RailPlant:
+    """Drives that follow speeds at once: MuJoCo's positions are integrals of the commands."""
+
+    timestep, has_physics, fell, rests, fall_reason = 0.005, True, False, True, ""
+
+    def __init__(self, robot: wb.RobotModel, perturbation: wb.Perturbation | None, edit: wb.Edit | None) -> None:
+        self.robot, self.description, self.time = robot, robot.description, 0.0
+        self.bend = RailPerturbation.of(perturbation, robot.description).bend
+        spec = wb.load_spec(robot.description)
+        if edit is not None:
+            edit(spec)
+        self.model = spec.compile()
+        self.data, self.world = mujoco.MjData(self.model), self
+        self.arrange(robot.home)
+
+    @property
+    def diverged(self) -> bool:
+        return not np.isfinite(self.data.qpos).all()
+
+    def arrange(self, state: Array) -> None:
+        self.data.qpos[:] = state
+        mujoco.mj_forward(self.model, self.data)
+
+    def measure(self) -> Array:
+        return np.array(self.data.qpos + [self.bend, 0.0])
+
+    def step(self, command: Speeds, steps: int = 1) -> None:
+        self.time += steps * self.timestep
+        self.arrange(self.data.qpos + steps * self.timestep * command.values)
+
+    def push(self, force: Array) -> None: ...
+
+    def end_pushes(self) -> None: ...
+
+    def truth(self) -> wb.Truth:
+        tip, x = self.data.site(self.robot.description.arm.tool), np.array(self.data.qpos)
+        turn = np.array(tip.xmat).reshape(3, 3)
+        joints = {name: float(value) for name, value in zip(self.robot.state.names, x, strict=True)}
+        return wb.Truth(self.time, np.zeros(3), np.array(tip.xpos), turn, np.array(tip.xpos), turn, 0.0, x, joints)
+
+
+class RailController:
+    """Follows the MPC's policy from the measured state."""
+
+    faults: Sequence[wb.Fault] = ()
+
+    def __init__(self, robot: wb.RobotModel) -> None:
+        self.robot, self._x = robot, robot.home
+
+    def measure(self, measurement: Array) -> None:
+        self._x = measurement
+
+    def state(self) -> Array:
+        return self._x
+
+    def predict(self, t: float, until: float, plans: wb.PolicyQueue) -> wb.Observation:
+        return wb.Observation(until, self._x)
+
+    def command(self, t: float, plans: wb.PolicyQueue) -> Speeds:
+        assert plans.current is not None
+        return Speeds(plans.current(t, self._x))
+
+    def stop(self) -> Speeds:
+        return Speeds(np.zeros(2))
+
+
+class WithinReach:
+    """A shape that does not change."""
+
+    def __init__(self, robot: wb.RobotModel) -> None:
+        self.narrowest, self.free, self.narrow = robot.home, wb.Mode("rigid"), False
+
+    def update(self, t: float, ahead: wb.Reference | None = None) -> None: ...
+
+
 class RailBaseType(wb.BaseType):
     """The plug-in."""
 
@@ -80,3 +171,22 @@ class RailBaseType(wb.BaseType):
 
     def model(self, description: wb.RobotDescription, spec: mujoco.MjSpec) -> wb.Base:
         return RailBase(description, spec)
+
+    def perturbation(self) -> type[RailPerturbation]:
+        return RailPerturbation
+
+    def plant(
+        self, robot: wb.RobotModel, perturbation: wb.Perturbation | None, seed: int, edit: wb.Edit | None = None
+    ) -> wb.SimulatedRobot:
+        return RailPlant(robot, perturbation, edit)
+
+    def system(
+        self, robot: wb.RobotModel, seed: int, perturbation: wb.Perturbation | None = None, mpc: wb.MPC | None = None,
+        edit: wb.Edit | None = None, calibration: Mapping[str, Array] | None = None,
+    ) -> wb.System:  # fmt: skip
+        plant, mpc = self.plant(robot, perturbation, seed, edit), mpc or wb.default_mpc(robot)
+        controller: wb.RobotController[Array, Speeds] = RailController(robot)
+        return wb.System(plant, controller, mpc, wb.Timing.of(plant.timestep, 200.0, mpc.rate, 0.0))
+
+    def reshaping(self, robot: wb.RobotModel, mpc: wb.MPC, controller: wb.Controller[Array, Speeds]) -> wb.Reshaping:
+        return WithinReach(robot)

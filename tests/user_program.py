@@ -1,8 +1,9 @@
-"""A program of somebody who has installed the package: everything is reached through ``wb``. `mypy` checks it as strictly as
-``--strict`` does (pyproject.toml), and tests/test_public_api.py runs it."""
+"""A program of somebody who has installed the package: everything is reached through ``wb``. tests/test_public_api.py checks it with
+``mypy --strict``, and runs it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import casadi as ca
@@ -92,18 +93,64 @@ def recorded(path: Path) -> tuple[wb.RunResult, wb.Recording]:
     return result, wb.read_recording(path)
 
 
-class Robot:
-    """What the real-time runner needs of a robot."""
+@dataclass(frozen=True)
+class Measured:
+    """A measurement: state ``x`` (nx) at ``time`` [s]."""
 
-    def read(self) -> wb.Observation:
+    time: float
+    x: np.ndarray
+
+
+class Robot:
+    """What the real-time runner needs of a robot; here the model itself."""
+
+    def __init__(self, clock: wb.VirtualClock, model: wb.MPC, start: np.ndarray) -> None:
+        self.clock, self.model, self.x, self.u, self.time = clock, model, start, np.zeros(1), 0.0
+
+    def read(self) -> Measured:
         """The newest measurement."""
-        return wb.Observation(0.0, np.zeros(2))
+        now = self.clock.now()
+        self.x, self.time = self.model.simulate(self.x, self.u, max(now - self.time, 0.0)), now
+        return Measured(now, self.x)
 
     def write(self, command: np.ndarray) -> None:
         """Send a command (nu)."""
+        self.u = command
 
     def stop(self) -> None:
         """Bring it to rest."""
+        self.u = np.zeros(1)
 
 
-DRIVER: wb.RobotInterface[wb.Observation, np.ndarray] = Robot()
+class Controller:
+    """What the real-time runner needs beside it: ``model`` predicts the state over the latency."""
+
+    def __init__(self, model: wb.MPC, period: float) -> None:
+        self.model, self.period, self.x = model, period, np.zeros(2)
+
+    def measure(self, measurement: Measured) -> None:
+        """The state."""
+        self.x = measurement.x
+
+    def predict(self, t: float, until: float, plans: wb.PolicyQueue) -> wb.Observation:
+        """Under the policies that are active until then."""
+        x = self.x
+        for now in np.arange(t, until - 1e-9, self.period):
+            policy = plans.at(now)
+            x = self.model.simulate(x, np.zeros(1) if policy is None else policy(now, x), self.period)
+        return wb.Observation(until, x)
+
+    def command(self, t: float, plans: wb.PolicyQueue) -> np.ndarray:
+        """Of the active policy."""
+        assert plans.current is not None
+        return plans.current(t, self.x)
+
+
+def run(start: np.ndarray, duration: float) -> np.ndarray:
+    """The state (nx) after a run of the real-time runner in virtual time, with an MPC whose solves take 4 ms."""
+    clock, (model, mpc) = wb.VirtualClock(computing=0.004), (wb.MPC(double_integrator(), rate=50.0) for _ in range(2))
+    mpc.reset(start)
+    robot, settings = Robot(clock, model, start), wb.RealTimeSettings(control_rate=200.0)
+    controller: wb.Controller[Measured, np.ndarray] = Controller(model, 1.0 / settings.control_rate)
+    wb.RealTimeRunner(robot, controller, mpc, settings, clock).run(duration)
+    return robot.x

@@ -43,7 +43,7 @@ def our_planner(problem: Problem, counts: list[int]) -> Planner:
     def plan(x0: np.ndarray, guess: Plan, iterations: int) -> Plan:
         single.warm_start(*guess)
         for _ in range(iterations):
-            single.run(x0)
+            single._run(x0)
         counts.append(iterations)
         found = single.trajectory()
         return found.x, found.u

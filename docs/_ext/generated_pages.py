@@ -112,6 +112,7 @@ def _automodule(name: str, level: str) -> str:
 def settings_tables() -> str:
     """A table for each settings model: what experiments share first, then each experiment, the runner, ROS 2, a robot's file."""
     experiments = _experiments()
+    from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
     from wbmpc.robots.description import RobotDescription
     from wbmpc.ros2.settings import RosSettings
     from wbmpc.settings import ControlSettings, MpcSettings
@@ -126,7 +127,12 @@ def settings_tables() -> str:
     usual |= {(f"{key} of `plant=mujoco`", *rest) for key, *rest in usual if key.startswith("`plant.")}
     for name, experiment in experiments.items():
         parts.append(_section(f"`{name}`", experiment.config_type, usual))
-    parts += [_section("A ROS 2 node's file", RosSettings), _section("A robot's file", RobotDescription)]
+    shared_keys = set(_rows(RosSettings))
+    parts += [
+        _section("A ROS 2 node's file", RosSettings),
+        _section("A ROS 2 node's file, swerve base", SwerveRosSettings, shared_keys),
+    ]
+    parts += [_section("A robot's file", RobotDescription)]
     return "\n".join(parts)
 
 

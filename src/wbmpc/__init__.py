@@ -10,15 +10,22 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.bases.base import Base as Base
     from wbmpc.bases.base import BaseDescription as BaseDescription
     from wbmpc.bases.base import BaseType as BaseType
+    from wbmpc.bases.base import Reshaping as Reshaping
     from wbmpc.bases.base import System as System
     from wbmpc.bases.footprint import Footprint as Footprint
     from wbmpc.clearance.lattice import plan_route as plan_route
+    from wbmpc.control.protocols import Controller as Controller
+    from wbmpc.control.protocols import Fault as Fault
+    from wbmpc.control.protocols import Monitor as Monitor
+    from wbmpc.control.protocols import RobotController as RobotController
+    from wbmpc.default_problem import default_mpc as default_mpc
     from wbmpc.embedded.exporter import export as export
     from wbmpc.errors import InputError as InputError
     from wbmpc.errors import NoRoute as NoRoute
     from wbmpc.errors import SolveFailed as SolveFailed
     from wbmpc.errors import SolverBusy as SolverBusy
     from wbmpc.errors import WbmpcError as WbmpcError
+    from wbmpc.estimation.offset import OffsetObserver as OffsetObserver
     from wbmpc.experiment import Experiment as Experiment
     from wbmpc.experiment import Loop as Loop
     from wbmpc.experiment import Scenario as Scenario
@@ -72,13 +79,18 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.result import RunResult as RunResult
     from wbmpc.result import Series as Series
     from wbmpc.robots import RobotDescription as RobotDescription
+    from wbmpc.robots import load_spec as load_spec
+    from wbmpc.ros2 import open_node as open_node
+    from wbmpc.runtime.clock import VirtualClock as VirtualClock
     from wbmpc.runtime.clock import WallClock as WallClock
     from wbmpc.runtime.runner import RealTimeRunner as RealTimeRunner
     from wbmpc.runtime.safety import RealTimeSettings as RealTimeSettings
+    from wbmpc.runtime.shared_memory import Sizes as Sizes
     from wbmpc.runtime.stop_control import RobotInterface as RobotInterface
     from wbmpc.simulation.inline import show as show
     from wbmpc.simulation.lockstep import Watch as Watch
     from wbmpc.simulation.lockstep import run_lockstep as run_lockstep
+    from wbmpc.simulation.perturbation import Perturbation as Perturbation
     from wbmpc.solver import ILQR as ILQR
     from wbmpc.solver import SLQ as SLQ
     from wbmpc.solver import SQP as SQP
@@ -92,19 +104,25 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.tasks.settings import SimulationSettings as SimulationSettings
     from wbmpc.tasks.settings import TaskSettings as TaskSettings
     from wbmpc.tasks.simulation import simulate as simulate
+    from wbmpc.types import Edit as Edit
     from wbmpc.types import Observation as Observation
+    from wbmpc.types import SimulatedRobot as SimulatedRobot
     from wbmpc.types import Timing as Timing
+    from wbmpc.types import Truth as Truth
 
 __version__ = "0.2.0"
 
 #: Public names by the module that has them.
 _NAMES = {
     "wbmpc.bases": "base_type",
-    "wbmpc.bases.base": "Base BaseDescription BaseType System",
+    "wbmpc.bases.base": "Base BaseDescription BaseType Reshaping System",
     "wbmpc.bases.footprint": "Footprint",
     "wbmpc.clearance.lattice": "plan_route",
+    "wbmpc.control.protocols": "Controller Fault Monitor RobotController",
+    "wbmpc.default_problem": "default_mpc",
     "wbmpc.embedded.exporter": "export",
     "wbmpc.errors": "InputError NoRoute SolveFailed SolverBusy WbmpcError",
+    "wbmpc.estimation.offset": "OffsetObserver",
     "wbmpc.experiment": "Experiment Loop Scenario",
     "wbmpc.log": "Log",
     "wbmpc.mapping": "LocalMap distance_grid",
@@ -124,25 +142,28 @@ _NAMES = {
     "wbmpc.mpc.route": "follow_route",
     "wbmpc.obstacles": "Obstacles shapes",
     "wbmpc.ocp": (
-        "AugmentedLagrangian Constraint Cost Mode ModeSchedule OptimalControlProblem Path Reference "
-        "RelaxedBarrier SmoothL1 add_progress frequency_aware path_problem residuals sets"
+        "AugmentedLagrangian Constraint Cost Mode ModeSchedule OptimalControlProblem Path Reference RelaxedBarrier "
+        "SmoothL1 add_progress frequency_aware path_problem residuals sets"
     ),
     "wbmpc.recording.reader": "Recording read_recording",
     "wbmpc.recording.recorder": "Recorder",
     "wbmpc.result": "Metric Plot RunResult Series",
-    "wbmpc.robots": "RobotDescription",
-    "wbmpc.runtime.clock": "WallClock",
+    "wbmpc.robots": "RobotDescription load_spec",
+    "wbmpc.ros2": "open_node",
+    "wbmpc.runtime.clock": "VirtualClock WallClock",
     "wbmpc.runtime.runner": "RealTimeRunner",
     "wbmpc.runtime.safety": "RealTimeSettings",
+    "wbmpc.runtime.shared_memory": "Sizes",
     "wbmpc.runtime.stop_control": "RobotInterface",
     "wbmpc.simulation.inline": "show",
     "wbmpc.simulation.lockstep": "Watch run_lockstep",
+    "wbmpc.simulation.perturbation": "Perturbation",
     "wbmpc.solver": "ILQR InteriorPoint SLQ SQP Solution Solver Status Trajectory",
     "wbmpc.study.study": "Study",
     "wbmpc.tasks.loop": "closed_loop",
     "wbmpc.tasks.settings": "SimulationSettings TaskSettings",
     "wbmpc.tasks.simulation": "simulate",
-    "wbmpc.types": "Observation Timing",
+    "wbmpc.types": "Edit Observation SimulatedRobot Timing Truth",
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 __all__ = ["__version__", *_MODULES]

@@ -87,6 +87,16 @@ def absolute_time(who: str, value: Any) -> float:
     return real_number(f"{who}: the time", value, LATEST)
 
 
+def unit_quaternion(who: str, name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """A quaternion (4) of length 1. Raises :class:`InputError` naming what it is of."""
+    q = numbers(who, name, value, 4)
+    at_most(who, 2.0, **{name: q})
+    length = float(np.linalg.norm(q))
+    if not 0.99 < length < 1.01:
+        raise InputError(f"{who}: '{name}' needs a unit quaternion (w, x, y, z), got {q.tolist()}")
+    return q / length
+
+
 def unit_quaternions(who: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternions (n, 4) or one (4,), scaled to unit length; :class:`InputError` of ``who`` for a length that is not rounding."""
     lengths = np.linalg.norm(values, axis=-1, keepdims=True)

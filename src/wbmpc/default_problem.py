@@ -246,8 +246,9 @@ def default_mpc(
     robot: RobotModel, settings: MpcSettings | None = None, cost: DefaultCost | None = None,
     obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, progress: str | None = None,
 ) -> MPC:  # fmt: skip
-    """The MPC of that problem with its real-time settings, whose goal is the robot's home; it keeps clear of ``obstacles``, and upright by
-    ``stability``. ``progress``: the frame that follows a path: see :func:`wbmpc.path_problem`."""
+    """The MPC of :func:`wbmpc.default_problem.default_problem` with its real-time ``settings`` and ``cost`` (None: the default weights), whose
+    goal is the robot's home; it keeps clear of ``obstacles``, and upright by ``stability``.
+    ``progress``: the frame that follows a path: see :func:`wbmpc.path_problem`."""
     settings = settings or default_settings()
     ocp = default_problem(robot, settings, cost, stability)
     ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from wbmpc.control.protocols import Controller
+from wbmpc.control.protocols import RobotController
 from wbmpc.errors import InputError
 from wbmpc.log import Log
 from wbmpc.mpc.mpc import MPC
@@ -83,7 +83,7 @@ class Outcome:
 
     ending: Ending = field(default_factory=Ending)
     faults: Sequence[str] = ()
-    controller: Controller | None = None
+    controller: RobotController | None = None
     mpc: MPC | None = None
 
 
@@ -93,12 +93,11 @@ class Loop:
     ``timing``.
 
     ``record(t, command, plans)`` is called once per controller period, before the command acts; ``done()`` after it: whether the loop ends
-    early, its task done. A controller that monitors
-    something has ``faults``, a sequence of str.
+    early, its task done.
     """
 
     plant: Plant[Any, Any]
-    controller: Controller
+    controller: RobotController
     mpc: MPC | None
     timing: Timing
     duration: float
@@ -110,7 +109,7 @@ class Loop:
         ending = run_lockstep(
             self.plant, self.controller, self.mpc, self.timing, self.duration, self.record, progress, self.done
         )
-        return Outcome(ending, list(getattr(self.controller, "faults", ())), self.controller, self.mpc)
+        return Outcome(ending, list(map(str, self.controller.faults)), self.controller, self.mpc)
 
 
 @dataclass(frozen=True)

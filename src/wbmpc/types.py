@@ -48,12 +48,12 @@ class GlobalPose:
 
 @dataclass(frozen=True)
 class Truth:
-    """What really is.
+    """What really is at ``time`` [s].
 
     ``pose`` (x, y, yaw) of the base, yaw not wrapped; ``tilt`` [rad] of its z axis; ``tool`` (3) [m] and
     ``tool_rotation`` (3, 3) in the world of the planner (its z = 0 is ``-base.ground`` above the floor);
-    ``tool_in_base`` and ``tool_rotation_in_base`` in the base's own (also tilted) frame; ``state`` in the planner's
-    layout; ``joints`` [rad] by name. With wheels: ``slip`` (n) [m/s], speed of the contact points over the floor;
+    ``tool_in_base`` (3) [m] and ``tool_rotation_in_base`` (3, 3) in the base's own (also tilted) frame; ``state`` (nx) in the
+    planner's layout; ``joints`` [rad] by name. With wheels: ``slip`` (n) [m/s], speed of the contact points over the floor;
     ``wheel_force`` (n) [N], vertical forces of the ground in the last physics step. ``joint_speeds`` [rad/s] by name.
     """
 
@@ -76,62 +76,71 @@ MeasurementT = TypeVar("MeasurementT", covariant=True)
 
 
 class Plant(Protocol[CommandT, MeasurementT]):
-    """A simulated robot. ``timestep`` [s]; ``step`` holds a command for n steps; ``measure`` belongs to ``time``.
-
-    ``has_physics``: whether bodies touch each other, as contacts and clearances need. ``rests``: nothing moves. ``fall_reason``: what
-    counted as the fall, empty without one. ``end_pushes``: nothing pushes the robot any more.
-    """
+    """A simulated robot, whose physics step is ``timestep`` [s]."""
 
     timestep: float
 
     @property
-    def time(self) -> float: ...
+    def time(self) -> float:
+        """Simulated time [s]."""
 
     @property
-    def fell(self) -> bool: ...
+    def fell(self) -> bool:
+        """Whether the robot lies."""
 
     @property
-    def diverged(self) -> bool: ...
+    def diverged(self) -> bool:
+        """Whether numbers are not finite."""
 
     @property
-    def has_physics(self) -> bool: ...
+    def has_physics(self) -> bool:
+        """Whether bodies touch each other, as contacts and clearances need."""
 
     @property
-    def rests(self) -> bool: ...
+    def rests(self) -> bool:
+        """Whether nothing moves."""
 
     @property
-    def fall_reason(self) -> str: ...
+    def fall_reason(self) -> str:
+        """What counted as the fall, empty without one."""
 
-    def end_pushes(self) -> None: ...
+    def end_pushes(self) -> None:
+        """Nothing pushes the robot any more."""
 
-    def measure(self) -> MeasurementT: ...
+    def measure(self) -> MeasurementT:
+        """What the sensors say at :attr:`time`."""
 
-    def step(self, command: CommandT, steps: int = 1) -> None: ...
+    def step(self, command: CommandT, steps: int = 1) -> None:
+        """Hold a ``command`` for ``steps`` physics steps."""
 
-    def truth(self) -> Truth: ...
+    def truth(self) -> Truth:
+        """What really is."""
 
 
 class SimulatedRobot(Plant[Any, Any], Protocol):
-    """A plant that can be shown: its robot's ``description``, MuJoCo's ``model`` and ``data``, and ``world.frames(height)`` (see
-    :class:`wbmpc.simulation.world.World`)."""
+    """A plant that can be shown, in MuJoCo's ``model`` and ``data``."""
 
     @property
-    def description(self) -> RobotDescription: ...
+    def description(self) -> RobotDescription:
+        """Of the robot."""
 
     @property
-    def model(self) -> mujoco.MjModel: ...
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model."""
 
     @property
-    def data(self) -> mujoco.MjData: ...
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's data."""
 
     @property
-    def world(self) -> Any: ...
+    def world(self) -> Any:
+        """Its ``frames(height)`` are those of :class:`wbmpc.simulation.world.World`."""
 
     def push(self, force: Array) -> None:
-        """Push the base with a force (3) [N] until changed."""
+        """Push the base with a ``force`` (3) [N] until changed."""
 
     def arrange(self, state: Array) -> None:
-        """Put the bodies where a state (nx) has them."""
+        """Put the bodies where a ``state`` (nx) has them."""
 
 
 @dataclass(frozen=True)

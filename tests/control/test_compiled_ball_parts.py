@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
-from wbmpc.bases.ball.sensor_faults import EncoderMonitor
+from wbmpc.bases.ball.sensor_faults import BallReadings, EncoderMonitor
 from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
 from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.model.robot import load_robot
@@ -73,7 +73,7 @@ def test_monitors_of_both_back_ends() -> None:
     for k in range(200):
         arm = arm + [0.0, 1e-3, 2e-3 * (k % 50 > 25)]
         more = (rng.normal(size=3) + [0.0, 0.5, 0.2], 10.0 * rng.normal(size=3), ("wheel_1 stalled",) * (k > 150))
-        found = [m.update(0.0025 * k, 0.0025, arm, *more, rng_surprise(k)) for m in both]
+        found = [m.update(BallReadings(0.0025 * k, 0.0025, arm, *more, rng_surprise(k))) for m in both]
         assert found[0] == found[1]
         said += [(f.part, f.kind) for f in found[0]]
     assert ("wheel_1", "stalled") in said and len(said) > 1

@@ -83,7 +83,7 @@ def test_a_force_that_pushes_the_robot_away_is_reported_and_ends_the_run(caplog:
     for t in (1.5, 1.6, 1.79, 1.8, 1.9):
         assert not lean_control.push_fault or t > 1.8
         lean_control.check(t, pushed(90.0), x)
-    assert lean_control.push_fault == "a force of at least 90 N that lasts pushes the robot away (1.80 s)"
+    assert str(lean_control.push_fault) == "a force of at least 90 N that lasts pushes the robot away (1.80 s)"
     assert len(caplog.records) == 1
     x[n] = 2.1
     for force in (50.0, 20.0, 50.0):  # who is driven fast by a goal is not pushed away
@@ -104,7 +104,7 @@ def test_a_fast_ball_that_rolls_back_against_the_force_or_not_for_long_goes_on()
     for t in (0.1, 0.25, 0.5):
         lean_control.check(t, pushed(50.0), x)
         assert t > 0.4 or not lean_control.push_fault
-    assert lean_control.push_fault.endswith("(0.50 s)")
+    assert str(lean_control.push_fault).endswith("(0.50 s)")
 
 
 def test_what_is_left_of_a_push_that_is_over_is_no_force_that_lasts() -> None:

@@ -12,7 +12,7 @@ import yaml
 import wbmpc as wb
 from wbmpc.bases.ball import defaults
 from wbmpc.bases.ball.self_contact import SelfContact
-from wbmpc.bases.ball.sensor_faults import EncoderMonitor
+from wbmpc.bases.ball.sensor_faults import BallReadings, EncoderMonitor
 from wbmpc.bases.ball.settings import mpc_settings
 from wbmpc.model.robot import RobotModel
 
@@ -75,7 +75,7 @@ def test_an_arm_that_rests_against_the_body_has_no_failed_encoder(
     pressed, faults = np.array([0.0, 0.0, turns * 400.0]), []
     for k in range(80):
         acceleration = pressed * (k > 10)
-        faults += monitor.update(0.0025 * k, 0.0025, RESTS, np.zeros(3), acceleration, (), None, x)
+        faults += monitor.update(BallReadings(0.0025 * k, 0.0025, RESTS, np.zeros(3), acceleration, (), None, x))
     assert [f.part for f in faults] == ["arm_elbow"] * found
     assert bool(monitor.lost) is found
 

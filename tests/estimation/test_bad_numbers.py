@@ -27,7 +27,7 @@ from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.estimation.payload import ArmScale
-from wbmpc.studies.minniti2019.contact import ContactMonitor
+from wbmpc.studies.minniti2019.contact import ContactDetector
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 from wbmpc.studies.minniti2019.momentum import MomentumObserver
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
@@ -44,7 +44,7 @@ ARM, UP, ZERO = HOME[ROBOT.state["arm"]], np.array([0.0, 0.0, 9.81]), np.zeros(3
 
 
 def contact() -> tuple[Callable[..., Any], Callable[[], Any]]:
-    monitor = ContactMonitor(debounce=0.0)
+    monitor = ContactDetector(debounce=0.0)
     return monitor.update, lambda: [monitor.touching]
 
 
@@ -284,7 +284,7 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: JointTracker([NAN], 1e-5, 1e-3, 7e-4), "joint tracker: 'angles' needs 1"),
         (lambda: JointTracker([0.0], 1e-5, 1e-3, 7e-4, speed=0.0), "joint tracker: 'speed' needs positive"),
         (lambda: EncoderMonitor(3, ["elbow"], patience=NAN), "encoder monitor: 'patience' must be finite"),
-        (lambda: ContactMonitor(on=np.inf), "contact: 'on' must be finite"),
+        (lambda: ContactDetector(on=np.inf), "contact: 'on' must be finite"),
         (lambda: BallGeometry(0.0, np.eye(3), ZERO), "ball filter: 'radius' must be positive"),
         (
             lambda: BallFilter(BallGeometry(0.1, np.eye(3), ZERO), [0, NAN], np.eye(3), BallNoise()),

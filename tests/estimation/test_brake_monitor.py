@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.brake_monitor import BrakeMonitor, SwerveReadings
 from wbmpc.errors import InputError
 
 NAMES = ["a", "b", "c", "d"]
@@ -16,7 +16,7 @@ def watch(leg, brake, rate, end: float = 6.0, period: float = 0.0025, **settings
     """A monitor after legs leg(t), brakes brake(t), rates rate(t) (4 each), at 400 Hz unless ``rate`` is set."""
     monitor = BrakeMonitor(NAMES, **settings)
     for t in np.arange(0.0, end, period):
-        monitor.update(t, np.round(np.asarray(leg(t)) / COUNT) * COUNT, brake(t), rate(t))
+        monitor.update(SwerveReadings(t, np.round(np.asarray(leg(t)) / COUNT) * COUNT, brake(t), rate(t)))
     return monitor
 
 
@@ -179,18 +179,18 @@ def test_a_leg_that_drifts_slowly_is_reported() -> None:
 def test_a_message_that_says_nothing_does_not_blind_the_monitor(wrong: tuple, words: str) -> None:
     """The leg slips by 20 mrad after it: as without the message, 10 mrad are reported."""
     monitor = BrakeMonitor(NAMES)
-    monitor.update(0.0, STILL, CLOSED, STILL)
+    monitor.update(SwerveReadings(0.0, STILL, CLOSED, STILL))
     with pytest.raises(InputError, match=words):
-        monitor.update(*wrong)
-    (fault,) = monitor.update(1.01, [0.02, 0.0, 0.0, 0.0], CLOSED, STILL)
+        monitor.update(SwerveReadings(*wrong))
+    (fault,) = monitor.update(SwerveReadings(1.01, [0.02, 0.0, 0.0, 0.0], CLOSED, STILL))
     assert (fault.leg, fault.kind) == (0, "does not hold")
 
 
 def test_the_first_message_may_be_bad() -> None:
     monitor = BrakeMonitor(NAMES)
     with pytest.raises(InputError, match="'leg'"):
-        monitor.update(0.0, np.full(4, np.nan), CLOSED, STILL)
-    assert monitor.update(0.0, STILL, CLOSED, STILL) == []
+        monitor.update(SwerveReadings(0.0, np.full(4, np.nan), CLOSED, STILL))
+    assert monitor.update(SwerveReadings(0.0, STILL, CLOSED, STILL)) == []
 
 
 def test_a_clock_that_restarts() -> None:
@@ -198,12 +198,15 @@ def test_a_clock_that_restarts() -> None:
     monitor, twin = BrakeMonitor(NAMES), BrakeMonitor(NAMES)
     turned = np.array([0.35, 0.0, 0.0, 0.0])
     for t in np.arange(1000.0, 1003.0, 0.01):
-        monitor.update(t, STILL, CLOSED, STILL)
+        monitor.update(SwerveReadings(t, STILL, CLOSED, STILL))
     with pytest.raises(InputError, match="time must not go back"):
-        monitor.update(0.0, turned, CLOSED, STILL)
+        monitor.update(SwerveReadings(0.0, turned, CLOSED, STILL))
     monitor.restart_clock()
     slips = lambda t: turned * (1.0 + min(t, 1.0))
-    reported = [[m.update(t, slips(t), CLOSED, STILL) for t in np.arange(0.0, 2.0, 0.01)] for m in (monitor, twin)]
+    reported = [
+        [m.update(SwerveReadings(t, slips(t), CLOSED, STILL)) for t in np.arange(0.0, 2.0, 0.01)]
+        for m in (monitor, twin)
+    ]
     assert reported[0] == reported[1] and len(monitor.faults) == 1
 
 
@@ -216,8 +219,8 @@ def test_brakes_at_rest_are_judged_like_all_others() -> None:
             brake = np.zeros(4) if rng.random() < 0.7 else (rng.random(4) < 0.3).astype(float)
         rate = np.where(brake > 0.5, 0.2 * rng.normal(size=4), 0.0)
         leg = leg + 0.01 * rate + (rng.random() < 0.01) * 0.012 * rng.normal(size=4)
-        faults = one.update(0.01 * k, leg, brake, rate)
-        assert faults == other.update(0.01 * k, leg, brake, rate + 1e-300)
+        faults = one.update(SwerveReadings(0.01 * k, leg, brake, rate))
+        assert faults == other.update(SwerveReadings(0.01 * k, leg, brake, rate + 1e-300))
         found += len(faults)
     assert found > 5
 
@@ -232,7 +235,7 @@ def test_both_back_ends_find_the_same() -> None:
             brake, stuck = (rng.random(4) < 0.6).astype(float), rng.random(4) < 0.5
         rate = 0.3 * brake
         leg = leg + 0.01 * rate * ~stuck + (rng.random(4) < 0.002) * 0.02
-        found = one.update(0.01 * k, leg, brake, rate)
-        assert found == other.update(0.01 * k, leg, brake, rate)
+        found = one.update(SwerveReadings(0.01 * k, leg, brake, rate))
+        assert found == other.update(SwerveReadings(0.01 * k, leg, brake, rate))
         kinds |= {fault.kind for fault in found}
     assert {"does not hold", "does not open"} <= kinds

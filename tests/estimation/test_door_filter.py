@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from wbmpc.errors import InputError
-from wbmpc.studies.minniti2019.contact import ContactMonitor
+from wbmpc.studies.minniti2019.contact import ContactDetector
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise
 
 H, TRUTH = 0.0025, np.array([4.0, 8.0, 5.0])
@@ -93,7 +93,7 @@ def test_impossible_guesses_are_rejected(bad: list[float]) -> None:
 
 
 def touching(forces: list[float], **settings: float) -> list[bool]:
-    monitor = ContactMonitor(**settings)
+    monitor = ContactDetector(**settings)
     return [monitor.update(k * H, f) for k, f in enumerate(forces)]
 
 
@@ -109,4 +109,4 @@ def test_hysteresis_and_short_losses_keep_the_contact() -> None:
     assert all(touching(contact + ([0.0] * 4 + [5.0]) * 20)[6:])  # losses below 10 ms
     assert touching(contact + [0.5] * 6)[-3:] == [True, False, False]
     with pytest.raises(InputError, match="off < on"):
-        ContactMonitor(on=1.0, off=1.0)
+        ContactDetector(on=1.0, off=1.0)

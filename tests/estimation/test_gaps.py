@@ -10,7 +10,7 @@ from wbmpc import lie
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.joint_tracker import JointTracker
-from wbmpc.bases.ball.sensor_faults import EncoderMonitor
+from wbmpc.bases.ball.sensor_faults import BallReadings, EncoderMonitor
 from wbmpc.bases.swerve.fused_odometry import LEAP_STD, FusedOdometry
 from wbmpc.bases.swerve.odometry_filter import OdometryNoise
 from wbmpc.model.robot import load_robot
@@ -192,7 +192,7 @@ def test_a_gap_alone_does_not_make_an_encoder_stand_still() -> None:
     three such readings in a row, 0.02 s by the rule of the class, are an encoder that stands."""
     speed, none = np.full(1, 2.0), np.zeros(1)
     monitor = EncoderMonitor(3, ["elbow"])
-    read = lambda t, h, angle: monitor.update(t, h, np.array([angle]), speed, none, (), none)
+    read = lambda t, h, angle: monitor.update(BallReadings(t, h, np.array([angle]), speed, none, (), none))
     for k in range(20):
         assert not read(PERIOD * k, PERIOD, 2.0 * PERIOD * k)
     at, t = 2.0 * PERIOD * 19, PERIOD * 19

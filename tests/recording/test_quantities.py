@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import mujoco
@@ -27,6 +28,19 @@ from wbmpc.simulation.scene import joint_units
 )
 def test_units_of_columns(topic: str, kind: str, column: str, unit: str) -> None:
     assert column_unit(topic, kind, column) == unit
+
+
+def test_groups_of_joints_are_those_of_the_robot() -> None:
+    """Truth: the robot's file, and one that is not here."""
+    topics = {
+        f"/{where}/{group}": Topic("std_msgs/Float64MultiArray", "")
+        for where in ("measured", "command")
+        for group in ("steer", "arm", "base")
+    }
+    of = lambda robot: {JOINT_UNITS: {"a": "rad"}, "run": {"settings": json.dumps({"robot": robot})}}
+    known, unknown = (Columns(Recording(Path(), topics, of(robot), {}, True)) for robot in ("swerve-ur10", "?"))
+    assert [known.unit(t, "data.0", 4) for t in topics] == ["rad", "rad", "", "rad/s", "rad/s", ""]
+    assert [unknown.unit(t, "data.0", 4) for t in topics] == ["", "rad", "", "", "rad/s", ""]
 
 
 LIFT = """<mujoco><worldbody><body><freejoint/><geom size=".1"/><body>

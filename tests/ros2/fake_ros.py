@@ -19,7 +19,10 @@ import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 
+from wbmpc.bases.swerve.ros_legs import DEFINITION, SET_LEGS
 from wbmpc.ros2.messages import types as known_types
+
+known_types("jazzy").define(SET_LEGS, DEFINITION)  # a ROS installation has the package
 
 _BYTES = {"octet", "byte"}
 _CODES = {"float64": "d", "float32": "f", "uint8": "B", "int8": "b", "int32": "i", "uint32": "I", "octet": "B"}

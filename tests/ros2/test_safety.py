@@ -321,10 +321,10 @@ def test_a_command_to_the_legs_at_the_moment_of_a_stop_starts_nothing(pair: Call
     """One that waited when the robot stopped is rejected; and looking after the legs at that moment starts nobody. Later ones do."""
     p = pair()
     drive(p)
-    runner, legs = p.control.runner, p.control.legs
+    runner, legs = p.control.runner, p.control.orders.commands
     p.standin.change = lambda m: {**m, "position": m["position"] * np.nan}
     assert wait_until(lambda: p.standin.tick(wait=False) or runner.stopped)  # the node has not looked yet
-    p.control.leg_control.start_or_apply(legs, p.control.adapter.snapshot()[1])
+    p.control.orders.start_or_apply(p.control.adapter.snapshot()[1])
     legs._put(np.array([0.7, np.nan, np.nan, np.nan]), np.full(4, np.nan))
     p.standin.change = lambda m: m
     assert p.until(lambda: "the robot has stopped meanwhile" in legs.rejected)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 
+from wbmpc.bases import base_type
 from wbmpc.bases.base import BaseType
 from wbmpc.bases.planar.plugin import MobileBaseType
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
@@ -172,11 +174,20 @@ def test_the_documentations_controllers_are_the_robots() -> None:
     assert len(sensor.findall("state_interface")) == 10  # orientation, angular velocity, linear acceleration
 
 
-def test_commands_reject_other_robots_and_missing_files(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A base type without a part for ROS 2, as one in somebody's package may be: one link, one hinge."""
+@pytest.fixture
+def planar_without_a_bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A base type without a part for ROS 2, as one in somebody's package may be."""
     monkeypatch.setattr(MobileBaseType, "ros_settings", BaseType.ros_settings)
+    base_type.cache_clear()
+    yield
+    monkeypatch.undo()
+    base_type.cache_clear()
+
+
+def test_commands_reject_other_robots_and_missing_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], planar_without_a_bus: None
+) -> None:
+    """One link, one hinge."""
     (tmp_path / "r.xml").write_text(
         '<mujoco><worldbody><body name="base"><geom size="0.1"/><body name="tip" pos="0 0 1"><joint name="turn" range="-1 1"/>'
         '<geom size="0.1"/></body></body></worldbody><compiler autolimits="true"/></mujoco>'

@@ -44,7 +44,7 @@ def test_it_is_the_hessian_of_the_lagrangian() -> None:
     solver.set_reference("state", base.references["state"])
     x, u = 0.5 * rng.normal(size=(6, 4)), rng.normal(size=(5, 2))
     solver.warm_start(x, u)
-    solver.run(START)  # samples the references; the iterate is put back
+    solver._run(START)  # samples the references; the iterate is put back
     solver.warm_start(x, u)
     blocks = hessians(solver)
     t, p, w = solver.problem, solver.ws.p, solver.ws.w
@@ -191,7 +191,7 @@ def test_a_solve_that_gauss_newton_would_not_finish_goes_on_with_the_exact_hessi
     solver.warm_start(np.zeros(1), np.full(1, 0.5))
     assert solver.solve(np.zeros(1)).iterations == first.iterations
     solver.warm_start(np.zeros(1), np.full(1, 0.5))
-    assert solver.status(solver.run(np.zeros(1))[0]) is Status.ITERATION_LIMIT
+    assert solver.status(solver._run(np.zeros(1))[0]) is Status.ITERATION_LIMIT
 
 
 def test_a_solve_that_finishes_in_time_stays_with_gauss_newton() -> None:

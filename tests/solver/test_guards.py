@@ -84,7 +84,7 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
         "solve": lambda: mpc.solver.solve(lq.x0),
         "warm_start": lambda: mpc.solver.warm_start(lq.x0),
         "simulate": lambda: mpc.solver.simulate(lq.x0, u, 0.1),
-        "run": lambda: mpc.solver.run(lq.x0),
+        "run": lambda: mpc.solver._run(lq.x0),
         "update": lambda: mpc.update(wb.Observation(0.0, lq.x0)),
         "advance": lambda: mpc.advance(wb.Observation(0.0, lq.x0)),
         "reset": lambda: mpc.reset(lq.x0),
@@ -326,14 +326,14 @@ def test_a_handler_that_solves_in_the_middle_of_a_solve_is_an_error(what: str, m
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
-@pytest.mark.parametrize("name", ["warm_start", "use", "reset"])
+@pytest.mark.parametrize("name", ["warm_start", "reset"])
 def test_a_handler_that_changes_the_memory_of_a_solve_is_an_error(
     name: str, backend: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its guess was returned as the converged solution. Truth: a solver without a handler, twice, as slacks are kept."""
     problem = cartpole(10)
     one, plain = (Solver(problem.ocp, SQP(backend=backend, iterations=2)) for _ in range(2))  # type: ignore[arg-type]
-    given = {"warm_start": (np.ones(4),), "use": (np.ones((11, 4)), np.ones((10, 1))), "reset": ()}[name]
+    given = {"warm_start": (np.ones(4),), "reset": ()}[name]
     came: list[int] = []
 
     def handler(*_: object) -> None:
@@ -357,9 +357,7 @@ def test_a_handler_that_changes_the_memory_of_a_solve_is_an_error(
     getattr(one, name)(*given)  # afterwards it may
 
 
-@pytest.mark.parametrize(
-    "name", ["MPC.reset", "MPC.resume", "MPC.recover", "Solver.warm_start", "Solver.use", "Solver.reset"]
-)
+@pytest.mark.parametrize("name", ["MPC.reset", "MPC.resume", "MPC.recover", "Solver.warm_start", "Solver.reset"])
 def test_a_handler_that_changes_the_memory_of_an_update_is_an_error(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it set was returned as the plan. Truth: an MPC without a handler."""
     problem = cartpole(10)
@@ -367,7 +365,7 @@ def test_a_handler_that_changes_the_memory_of_an_update_is_an_error(name: str, m
     x, u, seen = np.ones((11, 4)), np.ones((10, 1)), wb.Observation(0.0, problem.x0)
     given: tuple[Any, ...] = {
         "MPC.reset": (np.ones(4),), "MPC.resume": (x, u, 0.0), "MPC.recover": (seen, x, u, 0.0),
-        "Solver.warm_start": (np.ones(4),), "Solver.use": (x, u), "Solver.reset": (),
+        "Solver.warm_start": (np.ones(4),), "Solver.reset": (),
     }[name]  # fmt: skip
     of, method = name.split(".")
     change = getattr(mpc if of == "MPC" else mpc.solver, method)

@@ -17,7 +17,7 @@ def shifted(solver: Solver, delta: float) -> None:
     if solver.settings.backend == "interpreted":
         solver.twin._shift(delta)
     else:
-        tables = solver.tables()
+        tables = solver._current_tables()
         align(solver.ws.memory, solver.ws.table, *tables, 0.0)
         shift(solver.ws.memory, solver.ws.table, delta)
 
@@ -141,7 +141,7 @@ def test_a_jump_between_two_samples_of_the_same_time() -> None:
 def test_the_twin_samples_the_same() -> None:
     a, b = pendulum(), pendulum("interpreted")
     for s in (a, b):
-        s.run(np.zeros(4), 0.3)
+        s._run(np.zeros(4), 0.3)
     np.testing.assert_allclose(a.ws.p, b.ws.p, rtol=0, atol=1e-15)
 
 
@@ -152,7 +152,7 @@ def test_modes_change_at_the_event() -> None:
     solver = Solver(ocp, SQP(iterations=1, compute_kkt=False), use_cache=False)
     solver.set_schedule(ModeSchedule((Mode("a", {"m": [3.0]}), Mode("b", {"m": [4.0]})), (10.3,)))
     for t0, first in ((10.0, 3), (10.1, 2), (10.25, 1), (10.3, 0), (9.0, 11), (12.0, 0)):
-        solver.run(np.zeros(1), t0)
+        solver._run(np.zeros(1), t0)
         want = np.where(np.arange(11) >= first, 4.0, 3.0)
         np.testing.assert_array_equal(solver.ws.p[:, 0], want)
         np.testing.assert_array_equal(solver.ws.p[:, 1], want - 3.0)

@@ -24,7 +24,7 @@ from wbmpc.simulation.tip import TIP_RADIUS
 from wbmpc.studies.minniti2019 import press as pressing
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door
 from wbmpc.studies.minniti2019.door_trial import believed
-from wbmpc.studies.minniti2019.grip import KEPT, UNSURE, GripMonitor
+from wbmpc.studies.minniti2019.grip import KEPT, UNSURE, GripEstimator
 from wbmpc.studies.minniti2019.slip import SlipSettings
 from wbmpc.studies.minniti2019.slip_figures import Press, metrics
 from wbmpc.studies.minniti2019.touch_plant import TouchPlant
@@ -108,7 +108,7 @@ def test_the_robot_sees_material_points_slide() -> None:
 @pytest.mark.parametrize("grip", [0.12, 0.3, 0.7])
 def test_a_block_on_a_table_shows_its_grip(grip: float) -> None:
     """1 kg pressed with 10 N is pulled ever harder until it slides by Coulomb's law."""
-    monitor, speed, h, slid = GripMonitor(0.09), 0.0, 0.0025, 0.0
+    monitor, speed, h, slid = GripEstimator(0.09), 0.0, 0.0025, 0.0
     bounds = []
     for k in range(4000):
         pull = min(0.5 + 0.002 * k, 10.0 * grip + 0.3)
@@ -125,7 +125,7 @@ def test_a_block_on_a_table_shows_its_grip(grip: float) -> None:
 
 
 def test_what_is_hardly_pressed_shows_nothing() -> None:
-    monitor = GripMonitor(0.09)
+    monitor = GripEstimator(0.09)
     for _ in range(400):
         assert not monitor.update(0.0025, 1.0, 0.9, [1.0, 0.0])
     assert monitor.bound == 0.09 and monitor.slips == 0
@@ -133,7 +133,7 @@ def test_what_is_hardly_pressed_shows_nothing() -> None:
         monitor.update(0.0025, 10.0, 4.0, [0.0, 0.0])
     assert monitor.bound == pytest.approx(KEPT * (0.4 - UNSURE))
     with pytest.raises(InputError, match="least"):
-        GripMonitor(0.0)
+        GripEstimator(0.0)
 
 
 def test_the_cone_has_the_coefficient_of_its_reference() -> None:

@@ -17,7 +17,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.registry import load
 from wbmpc.simulation.lockstep import Ending
-from wbmpc.studies.minniti2019.contact import ContactMonitor
+from wbmpc.studies.minniti2019.contact import ContactDetector
 from wbmpc.studies.minniti2019.door_control import DoorController
 from wbmpc.studies.minniti2019.door_model import DoorGeometry, WithDoor, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import Door
@@ -25,7 +25,7 @@ from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, Lim
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed
 from wbmpc.studies.minniti2019.door_tracker import LIGHT, modes
 from wbmpc.studies.minniti2019.door_trial import believed
-from wbmpc.studies.minniti2019.grip import GripMonitor
+from wbmpc.studies.minniti2019.grip import GripEstimator
 from wbmpc.studies.minniti2019.press import TIPS
 from wbmpc.studies.minniti2019.touch_figures import Touch, longest, metrics
 from wbmpc.studies.minniti2019.touch_plant import TouchPlant
@@ -128,7 +128,7 @@ def test_a_door_is_not_held_before_the_push_could_move_it(opening: float) -> Non
     controller.push = SimpleNamespace(fastest=LimitedApproach().fastest, lead=0.0, give_up=9.0)  # type: ignore[assignment]
     controller.geometry, controller.door = DoorGeometry((0.5, 0.2), 0.3, opening, 0.04), np.zeros(2)
     controller.lever, controller.impedance, controller.period = 0.7, np.array([2.5, 12.0, 3.5]), 0.01
-    controller.grip = GripMonitor(0.1)
+    controller.grip = GripEstimator(0.1)
     normal, planned = controller.geometry.directions(0.0)[1], []
     place = controller.geometry.place(0.0, 0.7, 1.0)
     for k in range(60):
@@ -151,13 +151,13 @@ def test_a_panel_that_is_not_touched_is_ahead(lead: float, moves: bool) -> None:
 
 
 def test_a_light_contact_begins_at_once_and_outlasts_a_bounce() -> None:
-    monitor, seen = ContactMonitor(**LIGHT), []
+    monitor, seen = ContactDetector(**LIGHT), []
     for k in range(100):
         hit = k in (10, 11, 25) or 40 <= k < 60
         seen.append(monitor.update(0.0025 * k, 3.0 if hit else 0.0))
     assert not any(seen[:10]) and all(seen[10:83]) and not any(seen[85:])
     with pytest.raises(InputError, match="release"):
-        ContactMonitor(release=-1.0)
+        ContactDetector(release=-1.0)
 
 
 def touch(force: np.ndarray, reason: str = "", speed: float = 0.1) -> Touch:

@@ -16,12 +16,12 @@ from wbmpc.view.actuator_load import SHARES, Loads
 from wbmpc.view.history import POINTS, SAMPLES, SPAN, History, Trail
 from wbmpc.view.leg_configuration import LegConfiguration, configuration_text
 from wbmpc.view.snapshot import TRAIL, errors, status_text
+from wbmpc.view.steering import Controls
 
 pytest.importorskip("viser")
 from wbmpc.view.panel import plotted
 from wbmpc.view.replay_plots import POINTS as POINTS_OF_REPLAYS
 from wbmpc.view.replay_plots import marked, thinned
-from wbmpc.view.steering import Controls
 
 
 @pytest.mark.parametrize("pictures", [30, 230, 2000])

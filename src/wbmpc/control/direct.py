@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.control.monitor import Fault, Monitor, found_by
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
 
@@ -37,7 +38,8 @@ class DirectController:
     """Measured states go to the MPC, predicted over its delay, and the policy's inputs to the drives.
 
     ``lag`` [s] of the drives, first order: the plan leads the measured state by it. ``rate`` (nu): how fast inputs may change [1/s], left
-    out: at once. ``feedback``: the policy's law in place of its feed-forward, for drives that follow exactly.
+    out: at once. ``monitors`` of measurements find ``faults``.
+    ``feedback``: the policy's law in place of its feed-forward, for drives that follow exactly.
     """
 
     def __init__(
@@ -52,11 +54,14 @@ class DirectController:
         self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
         self.sent, self._rates = np.zeros((2, size))
         self.measured: StateMeasurement | None = None
+        self.monitors: list[Monitor[StateMeasurement]] = []
+        self.faults: list[Fault] = []
 
     def measure(self, measurement: StateMeasurement) -> None:
         """Take in the message of this tick. Raises :class:`InputError` for numbers that are not finite or of another length."""
         numbers("controller", "state", measurement.state, self.mpc.dynamics.state.size)
         self.measured = measurement
+        self.faults += found_by(self.monitors, measurement)
 
     def state(self) -> Array:
         """Measured state (nx)."""

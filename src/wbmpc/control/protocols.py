@@ -1,43 +1,24 @@
-"""What controllers are made of: the protocols that loops, real-time runners and base types ask, and nothing else.
+"""What controllers are: the protocols that loops, real-time runners and base types ask, and nothing else.
 
 A controller is assembled from parts: an estimator, monitors, the prediction over the delay, the law that follows a policy.
-
-Monitors: they compare what is commanded with what is measured, and report faults. One protocol for all of them.
-
-A monitor decides nothing: who assembles a controller says what a fault does (a message, another plan, a stop).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.control.monitor import Fault, Monitor
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
 
-
-@runtime_checkable
-class Fault(Protocol):
-    """Something that a monitor has found at ``time`` [s]; ``str()`` is the message to a user."""
-
-    @property
-    def time(self) -> float: ...
-
-
-@runtime_checkable
-class Monitor(Protocol):
-    """``update`` takes in what a monitor compares, and returns the faults that are new since the last time."""
-
-    def update(self, *readings: Any) -> Sequence[Fault]: ...
-
-
-__all__ = ["Controller", "Estimator", "Fault", "Monitor", "RobotController"]
+__all__ = ["Controller", "Fault", "Monitor", "RobotController"]
 
 
 #: Messages of one robot: what its controller reads and what it returns.
@@ -46,37 +27,29 @@ CommandT = TypeVar("CommandT", covariant=True)
 
 
 class Controller(Protocol[MeasurementT, CommandT]):
-    """What stands between measurements, MPC and commands of one robot. Times in s."""
+    """What stands between measurements, MPC and commands of one robot, as the real-time runner asks it. Times in s."""
 
     def measure(self, measurement: MeasurementT) -> None:
         """Process the measurement of this tick."""
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """The state for which the next policy is computed: at ``until`` [s], under the policies that are active until then."""
+        """The state for which the next policy is computed: at ``until`` [s], under the policies that are active from ``t`` [s] until then."""
 
     def command(self, t: float, plans: PolicyQueue) -> CommandT:
         """The command for the tick at ``t`` [s]."""
 
-    def stop(self) -> CommandT:
-        """The command that brings the robot to rest."""
-
 
 class RobotController(Controller[MeasurementT, CommandT], Protocol):
-    """A controller of a ``robot`` whose state views and experiments show."""
+    """A controller of a ``robot`` whose state views and experiments show, and which they stop."""
 
     robot: RobotModel
+
+    @property
+    def faults(self) -> Sequence[Fault]:
+        """What was found in this run: of sensors, brakes, forces."""
 
     def state(self) -> NDArray[np.float64]:
         """The state (nx) as estimated at the last measurement."""
 
-
-@runtime_checkable
-class Estimator(Protocol[MeasurementT]):
-    """From measurements to the state of the model."""
-
-    def update(self, measurement: MeasurementT) -> NDArray[np.float64]:
-        """The state x (nx) after the newest measurement."""
-
-    @property
-    def faults(self) -> Sequence[str]:
-        """What is wrong with the last measurement; empty where nothing is."""
+    def stop(self) -> CommandT:
+        """The command that brings the robot to rest."""

@@ -26,11 +26,12 @@ from wbmpc.model.numeric import Numeric
 class OffsetObserver:
     """Estimates the parameters ``group`` of ``dynamics`` from the measured entries of the state (all when left out).
 
-    ``x``, ``u`` (nx, nu): where the filter starts, and where it is checked that the parameters can be distinguished; ``mode``: the
-    model's mode values. Standard deviations: ``noise`` of a measurement; ``process`` by which a state, and ``walk`` by which a
-    parameter, leaves the model in a second; ``spread`` of both at the start. One number or one per entry each, in their units.
+    ``x`` (nx), ``u`` (nu): where the filter starts, and where it is checked that the parameters can be distinguished; ``mode`` (nm): the
+    model's mode values. Standard deviations: ``noise`` (ny) of a measurement; ``process`` (nx) by which a state, and ``walk`` (nd) by
+    which a parameter, leaves the model in a second; ``spread`` (nx + nd) of both at the start. Each may be one number for all entries.
     ``known``: the values of the model's other parameters by group, needed if there are any, for the model is only right with
-    them; :meth:`set_known` when they change. ``offset``: the estimate; ``state``: the filtered state. Angles are not wrapped.
+    them; :meth:`set_known` when they change. ``mean`` and ``covariance``: of state and
+    parameters, measured are entries ``measured``. Angles are not wrapped.
 
     Raises :class:`InputError` naming the groups that ``known`` lacks, or a parameter that leaves no trace in the measurements or
     looks like another quantity.
@@ -41,15 +42,15 @@ class OffsetObserver:
         process: ArrayLike = 1e-3, walk: ArrayLike = 1.0, spread: ArrayLike = 1.0, mode: ArrayLike = (),
         known: Mapping[str, ArrayLike] | None = None,
     ) -> None:  # fmt: skip
-        self.dynamics, self.group, self.part = dynamics, group, dynamics.parameters[group]
+        self.dynamics, self.group, self._part = dynamics, group, dynamics.parameters[group]
         self.set_known(known or {})
-        self.names = dynamics.parameters.names[self.part]
+        self._names = dynamics.parameters.names[self._part]
         labels = dynamics.state.names if measured is None else tuple(measured)
         self.measured = np.array([dynamics.state.index(name) for name in labels], int)
-        nx, nd = dynamics.state.size, len(self.names)
+        nx, nd = dynamics.state.size, len(self._names)
         modes = np.zeros(dynamics.mode.size) if np.size(mode) == 0 else mode
         m = numbers("offset observer", "mode", modes, dynamics.mode.size)
-        self.mode, self.labels = m, labels
+        self.mode, self._labels = m, labels
         self.noise = _positive("noise", noise, len(labels)) ** 2
         self._walk = np.concatenate([_positive("process", process, nx), _positive("walk", walk, nd)]) ** 2
         self.mean = np.concatenate([numbers("offset observer", "x", x, nx), np.zeros(nd)])
@@ -70,7 +71,7 @@ class OffsetObserver:
     def parameters(self) -> Array:
         """All parameters of the model: the estimate in its place, the others as known. For ``set_parameters``."""
         out = self._known.copy()
-        out[self.part] = self.offset
+        out[self._part] = self.offset
         return out
 
     def set_known(self, values: Mapping[str, ArrayLike]) -> None:
@@ -101,7 +102,7 @@ class OffsetObserver:
         Raises :class:`InputError` for another number of entries or a step that is no time, :class:`NotFinite` for NaN.
         """
         y, u = np.atleast_1d(np.asarray(y, float)), np.atleast_1d(np.asarray(u, float))
-        for what, value, names in (("measurement", y, self.labels), ("input", u, self.dynamics.input.names)):
+        for what, value, names in (("measurement", y, self._labels), ("input", u, self.dynamics.input.names)):
             if value.shape != (len(names),):
                 raise InputError(
                     f"offset observer: the {what} needs {len(names)} numbers ({', '.join(names)}), got shape {value.shape}"
@@ -130,7 +131,7 @@ class OffsetObserver:
         m, h = ca.SX.sym("m", d.mode.size), ca.SX.sym("h")
         nx, known = d.state.size, ca.SX.sym("w", d.parameters.size)
         w = ca.SX(known)
-        w[self.part] = z[nx:]
+        w[self._part] = z[nx:]
         rate = lambda x: ca.SX(d(x, u, w, m))
         after = ca.vertcat(z[:nx] + h * rate(z[:nx] + 0.5 * h * rate(z[:nx])), z[nx:])
         step = ca.Function("step", [z, u, m, h, known], [after, ca.densify(ca.jacobian(after, z))])
@@ -149,15 +150,15 @@ class OffsetObserver:
             if kept.shape[1] == unseen.shape[1]:
                 break
             unseen = unseen @ kept
-        hidden = np.linalg.norm(unseen[nx:], axis=1) if unseen.shape[1] else np.zeros(len(self.names))
+        hidden = np.linalg.norm(unseen[nx:], axis=1) if unseen.shape[1] else np.zeros(len(self._names))
         if hidden.max(initial=0.0) < 1e-6:
             return
         i = int(np.argmax(hidden))
         direction = unseen @ unseen[nx + i]  # the unseen motion that has most of this parameter
-        others = [*self.dynamics.state.names, *self.names]
+        others = [*self.dynamics.state.names, *self._names]
         like = [f"'{others[k]}'" for k in np.argsort(-np.abs(direction)) if abs(direction[k]) > 1e-3 and k != nx + i]
         how = f"cannot be distinguished from {', '.join(like[:3])}" if like else "leaves no trace"
-        raise InputError(f"offset observer: '{self.names[i]}' {how} by measuring {', '.join(self.labels)}")
+        raise InputError(f"offset observer: '{self._names[i]}' {how} by measuring {', '.join(self._labels)}")
 
 
 def _null_space(matrix: Array, tolerance: float) -> Array:

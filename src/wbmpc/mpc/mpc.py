@@ -260,7 +260,7 @@ class MPC(Described):
                 self.path.refresh(t, delta if k == 0 else 0.0)
             if self._clear.active:
                 self._clear.refresh(t, delta if k == 0 else 0.0)
-            status, count = self.solver.run(x0, t, delta if k == 0 else 0.0)
+            status, count = self.solver._run(x0, t, delta if k == 0 else 0.0)
             self._iterations += count
             elapsed = time.perf_counter() - start
             self.path.begun()
@@ -365,7 +365,7 @@ class MPC(Described):
         self.statistics.failures += 1
         last = self._policy
         if last is None:
-            found = self.solver.certified(*self._outcome)
+            found = self.solver._certified(*self._outcome)
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
         self._recover(observation, last.x, last.u, float(last.times[0]))

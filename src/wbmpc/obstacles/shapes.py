@@ -112,7 +112,7 @@ class Box:
         _set(self, half=half, center=checks.numbers("box", "center", self.center, 3))
         _size("box", half=half)
         checks.at_most("box", LARGEST, center=self.center)
-        _set(self, orientation=unit_quaternion("box", "orientation", self.orientation))
+        _set(self, orientation=checks.unit_quaternion("box", "orientation", self.orientation))
 
     @cached_property
     def solid(self) -> Solid:
@@ -217,13 +217,3 @@ class DistanceGrid:
 
 
 Shape = Sphere | Capsule | Cylinder | Box | HalfSpace | ConvexMesh | DistanceGrid
-
-
-def unit_quaternion(who: str, name: str, value: ArrayLike) -> Array:
-    """A quaternion (4) of length 1. Raises :class:`InputError` naming what it is of."""
-    q = checks.numbers(who, name, value, 4)
-    checks.at_most(who, 2.0, **{name: q})
-    length = float(np.linalg.norm(q))
-    if not 0.99 < length < 1.01:
-        raise InputError(f"{who}: '{name}' needs a unit quaternion (w, x, y, z), got {q.tolist()}")
-    return q / length

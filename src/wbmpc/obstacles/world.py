@@ -24,7 +24,6 @@ from wbmpc.obstacles.shapes import (
     HalfSpace,
     Shape,
     Sphere,
-    unit_quaternion,
 )
 
 _SHAPES = {c.__name__: c for c in (Sphere, Capsule, Cylinder, Box, HalfSpace, ConvexMesh, DistanceGrid)}
@@ -123,7 +122,7 @@ class Obstacles:
             key = "expire" if np.isfinite(expire) else "max_age"
             raise InputError(f"{who}: '{key}' counts from 'seen', which is left out")
         found = Obstacle(
-            name, shape, checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation),
+            name, shape, checks.numbers(who, "position", position, 3).copy(), checks.unit_quaternion(who, "orientation", orientation),
             checks.numbers(who, "velocity", velocity, 3).copy(), float(std), float(velocity_std),
             np.nan if seen is None else float(seen), float(expire), frame, float(max_age), _frames(who, ignore),
         )  # fmt: skip
@@ -157,7 +156,10 @@ class Obstacles:
         who = f"frame '{name}'"
         if not isinstance(name, str) or name == WORLD:
             raise InputError(f"{who}: another name than '{WORLD}' is needed")
-        pose = (checks.numbers(who, "position", position, 3).copy(), unit_quaternion(who, "orientation", orientation))
+        pose = (
+            checks.numbers(who, "position", position, 3).copy(),
+            checks.unit_quaternion(who, "orientation", orientation),
+        )
         checks.at_most(who, LARGEST, position=pose[0])
         with self._lock:
             self._frames[name] = pose

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import TYPE_CHECKING, Any
 
 from wbmpc.bases.base import WHEELS
@@ -32,11 +32,13 @@ _TOPICS = (
 )  # fmt: skip
 #: Of arrays of joints by topic: how their units follow from that of the joint's position; the first that fits is taken.
 _JOINT_TOPICS: tuple[tuple[str, Callable[[str], str]], ...] = (
-    (r"/command/torque$", force_unit), (r"/(command/position|measured/(arm|wheel|steer|leg))$", str),
+    (r"/command/torque$", force_unit), (r"/command/position$", str),
     (r"/command/stiffness$", lambda unit: f"{force_unit(unit)}/{unit}" if force_unit(unit) else ""),
     (r"/command/damping$", lambda unit: f"{force_unit(unit)} s/{unit}" if force_unit(unit) else ""),
-    (r"/command/(arm|wheel|steer|leg|speed)$", rate_unit),
+    (r"/command/speed$", rate_unit),
 )  # fmt: skip
+#: The same of topics that end in the name of a group of joints, by the part before it.
+_GROUP_TOPICS: dict[str, Callable[[str], str]] = {"measured": str, "command": rate_unit}
 #: Of a log's channels; the first that fits is taken.
 _CHANNELS = (
     (r"quaternion|brake", "1"), (r"orientation|rotation|yaw|tilt", "rad"), (r"gyro", "rad/s"), (r"torque", "N m"), (r"^force", "N"),
@@ -67,13 +69,13 @@ class Columns:
         """The unit of a ``column`` of a topic with ``count`` numbers."""
         kind = self._topics[topic].kind
         position = self._units.get(self.name(topic, column, count), self._other)
-        return column_unit(topic, kind, column, position)
+        return column_unit(topic, kind, column, position, {"arm", WHEELS, *self._groups})
 
 
-def column_unit(topic: str, kind: str, column: str, position: str = "") -> str:
+def column_unit(topic: str, kind: str, column: str, position: str = "", groups: Container[str] = ()) -> str:
     """The unit of a topic's column, of a message type ``kind``; "" where it is not known which.
 
-    ``position``: the unit of the position of the joint that the column is of.
+    ``position``: the unit of the position of the joint that the column is of; ``groups`` of the robot's joints.
     """
     part = column.partition(".")[0]
     if kind == "sensor_msgs/JointState" and part in _JOINT_PARTS:
@@ -84,6 +86,9 @@ def column_unit(topic: str, kind: str, column: str, position: str = "") -> str:
     for pattern, unit in _POSES:
         if re.search(pattern, column):
             return unit
+    above, _, group = topic.rpartition("/")
+    if group in groups and (derive := _GROUP_TOPICS.get(above.rpartition("/")[2])):
+        return derive(position)
     for pattern, derived in _JOINT_TOPICS:
         if re.search(pattern, topic):
             return derived(position)

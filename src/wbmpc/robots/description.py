@@ -314,7 +314,7 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
 
 
 def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.MjSpec:
-    """The robot's file as an editable MuJoCo specification of its mechanics, with its locked joints removed.
+    """The file of a described robot (``description``) as an editable MuJoCo specification of its mechanics, without its locked joints.
 
     ``meshes``: with the meshes of a URDF that exist, for display.
     """

@@ -5,24 +5,26 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.control.protocols import Controller
+from wbmpc.control.protocols import RobotController
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Bound, Guess
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.terms import Weight
-from wbmpc.ros2.bus import Node
 from wbmpc.ros2.convert import upright
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import Inertial, JointSample
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.solver import Trajectory
+
+if TYPE_CHECKING:
+    from wbmpc.ros2.control import ControlNode
 
 #: Weights of costs, by name and place (path or terminal).
 Weights = dict[tuple[str, Literal["path", "terminal"]], Weight]
@@ -43,36 +45,26 @@ class Estimate:
     twist_covariance: Array
 
 
-class Brakes(Protocol):
-    """What commands the brakes of a run."""
+class Orders:
+    """What a base takes from the bus beside goals, on topics and services of its own (its settings' ``topics``); here nothing."""
 
-    def commanded(self, t: float) -> Array:
-        """Brakes (n, 1 = open) as commanded at time t [s]."""
+    def update(self) -> None:
+        """In the node's own thread, at every step: carry out what has come."""
 
+    def stop(self, had_task: bool) -> None:
+        """The robot has stopped, with a task or without."""
 
-class LegCommands(Protocol):
-    """Commands for legs and brakes from the bus. ``angles`` (n) [rad]: where legs are to go, None before the first command, and
-    ``aims`` where the plan is to take them, which changes whenever ``apply`` or ``watch`` says so;
-    ``rejected``: why the last order was not taken; ``short``: which legs have ended on their way."""
+    def rejections(self) -> dict[str, str]:
+        """What was rejected, and why, by what it was; empty texts where nothing was."""
+        return {}
 
-    angles: Array | None
-    rejected: str
-    short: str
-
-    @property
-    def aims(self) -> Array | None: ...
-    @property
-    def waiting(self) -> bool: ...
-    def apply(self, brakes: Any, t: float, leg: Array) -> bool: ...
-    def watch(self, brakes: Any, t: float, leg: Array) -> bool: ...
-    def drop(self) -> None: ...
-    def reject(self, message: str) -> None: ...
-    def stop(self) -> None: ...
+    def counts(self) -> dict[str, Any]:
+        """Values of a run by name, for diagnostics."""
+        return {}
 
 
 class BaseAdapter(Protocol):
-    """``brakes`` of a run (:class:`Brakes`) and ``legs`` (n) [rad], where they are to go (None: where they are); both None without hinges.
-    ``must_keep_running``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
+    """``must_keep_running``: the robot falls when it is stopped, so that it is kept on its last policy as long as there are states.
 
     ``faults``: what was found in this run of what it ``watches`` (sensors, brakes), as messages; ``inspect``, called in the
     node's own thread now and then, looks for those that would take too long in a tick. ``fall``: message that the robot at x (nx) has
@@ -80,12 +72,12 @@ class BaseAdapter(Protocol):
     ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localization's pose at every tick;
     after ``relocate`` the next one says where the robot is, whatever was known before. ``origin``: when [s] the runner's clock was 0,
     on the one behind it, which goes on from run to run. ``begin`` makes a new controller and MPC for a run
-    from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``leg_commands``: what takes orders to
-    the legs from the bus, None without hinges: ``ready()`` says why none can be taken, ``now()`` how brakes and legs are.
+    from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``orders``: what the base takes
+    from the bus of the node ``control`` beside goals.
     ``obstacles``: what the MPC keeps clear of (:func:`obstacles_of` the settings); None: of nothing.
     ``references`` of a task that begins at x may take long, and are made in another thread.
 
-    An adapter derives from it: what has a body here is that of a base without legs, brakes and localization.
+    An adapter derives from it: what has a body here is that of a base without orders of its own and localization.
     """
 
     robot: RobotModel
@@ -94,19 +86,17 @@ class BaseAdapter(Protocol):
     mpc: MPC
     obstacles: Obstacles | None
     pending: PendingChanges
-    controller: Controller
+    controller: RobotController
     watches: str
     must_keep_running: bool = False
     needs_imu: bool = False
-    brakes: Brakes | None = None
-    legs: Array | None = None
     parameters: Callable[[], Array] | None = None
     fix: Callable[[], Fix | None] | None = None
     origin: Callable[[], float] | None = None
 
     @property
     def faults(self) -> list[str]:
-        return []
+        return list(map(str, self.controller.faults))
 
     def fall(self, x: Array) -> str:  # what need not be kept running does not fall
         return ""
@@ -115,10 +105,8 @@ class BaseAdapter(Protocol):
         return None
 
     def problem(self, cost: Any) -> OptimalControlProblem: ...
-    def leg_commands(
-        self, node: Node, ready: Callable[[], str], now: Callable[[], tuple[Array, Array] | None]
-    ) -> LegCommands | None:
-        return None
+    def orders(self, control: ControlNode) -> Orders:
+        return Orders()
 
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...
@@ -136,9 +124,6 @@ class BaseAdapter(Protocol):
     def estimate(self) -> Estimate | None: ...
     def follow(self, references: dict[str, Reference]) -> None:
         self.pending.set(references)
-
-    def swing(self, legs: Array) -> None:
-        return None
 
     def push(self, wrench: Array) -> None:  # drives that follow speeds cannot exert one
         return None

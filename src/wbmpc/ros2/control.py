@@ -22,7 +22,6 @@ from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
 from wbmpc.ros2.interpreter import TURNS, control_priority, real_time_interpreter
-from wbmpc.ros2.leg_control import LegControl
 from wbmpc.ros2.localization import POSE_AGE, ExternalPose, PoseSource
 from wbmpc.ros2.obstacles import ObstacleTopics
 from wbmpc.ros2.planning import Planned, Planning, References
@@ -82,8 +81,7 @@ class ControlNode:
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
-        self.leg_control = LegControl(self)
-        self.legs = self.leg_control.commands
+        self.orders = self.adapter.orders(self)
         self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady)
         self.planning = Planning(self.adapter.references)
         self.obstacles = ObstacleTopics(node, self.adapter, settings, steady, self.now, self._plan_origin)
@@ -124,7 +122,7 @@ class ControlNode:
         self._process_requests()
         self.yield_to_controller()
         parts = (
-            self.adapter.inspect, self.obstacles.update, self.leg_control.update, self._send_setpoints, self.health.update,
+            self.adapter.inspect, self.obstacles.update, self.orders.update, self._send_setpoints, self.health.update,
             self.publishers.publish, self.rosout.send,
         )  # fmt: skip
         for update in parts:
@@ -328,12 +326,8 @@ class ControlNode:
         if self.request_queue.running is not None:
             self._stop_trajectories()
             self.request_queue.stop()
-            if self.legs is not None and self.legs.waiting:
-                self.legs.drop()
-                self.legs.reject("a command for the legs is rejected: the robot has stopped meanwhile")
+        self.orders.stop(self.request_queue.running is not None)
         self.request_queue.running = None
-        if self.legs is not None:
-            self.legs.stop()
 
     def _clock_lost(self) -> str:
         """Why there is no time any more; empty if there is."""

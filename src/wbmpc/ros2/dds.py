@@ -154,10 +154,12 @@ class DdsNode:
 
     def serve(
         self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False,
-        rejected: Callable[[str], Mapping[str, Any]] = nothing,
+        rejected: Callable[[str], Mapping[str, Any]] = nothing, definition: tuple[str, str] | None = None,
     ) -> None:  # fmt: skip
         """Answer a service to clients of rmw_cyclonedds. Those of Fast DDS see it and get no answer, which the log says."""
         name = full_name(service)
+        if definition is not None:
+            self.types.define(kind, definition)
         request_type, response_type = request(kind), response(kind)
         mark = f"{_SERVER}{_identity()};"
         replies = self._topic(f"rr{name}Reply", response_type, _HEADER)

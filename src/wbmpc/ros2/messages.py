@@ -14,9 +14,8 @@ from wbmpc.recording.messages import Field, encode
 
 _EMPTY = "uint8 structure_needs_at_least_one_member\n"
 _RESULT = "bool success\nstring message\n"
-#: Services have no definitions in rosbags. SetLegs is of the package that docs/how-to/ros2.md shows.
+#: Services have no definitions in rosbags.
 SERVICES = {
-    "wbmpc_msgs/srv/SetLegs": ("string configuration\nstring[] leg\nfloat64[] angle\nbool[] brake_open\n", _RESULT),
     "std_srvs/srv/Trigger": (_EMPTY, _RESULT),
     "std_srvs/srv/SetBool": ("bool data\n", _RESULT),
     # of a node's parameters (rcl_interfaces)
@@ -66,9 +65,13 @@ class Types:
         for name, text in MESSAGES.items():
             self.store.register(get_types_from_msg(text, name))
         for name, parts in SERVICES.items():
-            for half, text in zip((request(name), response(name)), parts, strict=True):
-                (fields,) = get_types_from_msg(text, half).values()
-                self.store.register({half: fields})
+            self.define(name, parts)
+
+    def define(self, service: str, parts: tuple[str, str]) -> None:
+        """Take in the ``service`` of a package that is not known here: definitions of request and response."""
+        for half, text in zip((request(service), response(service)), parts, strict=True):
+            (fields,) = get_types_from_msg(text, half).values()
+            self.store.register({half: fields})
 
     def check(self, kind: str) -> None:
         """Raise :class:`InputError` if there is no such type."""

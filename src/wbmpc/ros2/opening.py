@@ -10,7 +10,8 @@ from wbmpc.ros2.network import Network
 
 
 def open_node(name: str, backend: str = "auto", network: Network | None = None) -> Node:
-    """A node: by ``rclpy`` where it can be imported (ROS 2 is sourced), else by ``dds`` alone (extra ``ros2``).
+    """A node called ``name``. ``backend``: "rclpy", "dds" (extra ``ros2``), or "auto": rclpy where it can be imported (ROS 2 is sourced), else
+    DDS alone, on a ``network`` (None: as the environment says).
 
     Raises :class:`InputError` if neither is there.
     """

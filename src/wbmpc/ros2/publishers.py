@@ -39,7 +39,7 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         "task": c.task,
         "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
         "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
-        **({} if c.adapter.brakes is None else {"legs held": getattr(c.adapter.controller, "holds", 0)}),
+        **c.orders.counts(),
         **plan_clearance(c), "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
         "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
         "observation to active policy: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
@@ -59,15 +59,12 @@ def plan_clearance(controller: ControlNode) -> dict[str, Any]:
 
 
 def rejections(controller: ControlNode) -> dict[str, str]:
-    """What was rejected, and why: goals, commands for the legs, poses; until one is taken again. And speeds that are limited."""
+    """What was rejected, and why: goals, commands to the base, poses; until one is taken again. And speeds that are limited."""
     c = controller
-    leg_commands = c.legs.rejected if c.legs is not None else ""
     reasons = {
-        "rejected": c.request_queue.rejected, "rejected command for the legs": leg_commands,
-        "rejected pose": c.source.fault, "rejected obstacles": c.obstacles.fault,
+        "rejected": c.request_queue.rejected, **c.orders.rejections(), "rejected pose": c.source.fault,
+        "rejected obstacles": c.obstacles.fault, "limited speed": c.request_queue.limited,
     }  # fmt: skip
-    reasons["legs stopped short"] = c.legs.short if c.legs is not None else ""
-    reasons["limited speed"] = c.request_queue.limited
     return {key: why for key, why in reasons.items() if why}
 
 

@@ -18,7 +18,7 @@ from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, planar_path, read_pose, read_poses, read_vector, seconds
 from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
-from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
+from wbmpc.ros2.settings import RosSettings
 
 _LOG = logging.getLogger("wbmpc")
 #: (state (nx), time of the plan [s]) -> what is to be done from then on.
@@ -62,7 +62,12 @@ class RequestQueue:
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
                 node.subscribe(
-                    topic, REQUEST_TYPES[key], partial(self._try, topic, take), DEFAULT, deferred=True, largest=LONG
+                    topic,
+                    settings.topics.requests[key],
+                    partial(self._try, topic, take),
+                    DEFAULT,
+                    deferred=True,
+                    largest=LONG,
                 )
 
     # ------------------------------------------------------------------ taken up

@@ -115,7 +115,7 @@ class RosNode:
 
     def serve(
         self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False,
-        rejected: Callable[[str], Mapping[str, Any]] = nothing,
+        rejected: Callable[[str], Mapping[str, Any]] = nothing, definition: tuple[str, str] | None = None,
     ) -> None:  # fmt: skip
         """Answer a service, in the executor's thread."""
         name = full_name(service)

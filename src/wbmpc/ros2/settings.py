@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
@@ -23,12 +24,6 @@ from wbmpc.yaml_file import load_yaml
 #: What ros2_control's controllers take: numbers for all joints, or a trajectory_msgs/JointTrajectory.
 NUMBERS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 TYPES = {"numbers": NUMBERS, "trajectory": TRAJECTORY, "twist": "geometry_msgs/msg/TwistStamped"}
-#: Types of goals and orders, by the keys of their topics.
-REQUEST_TYPES = {
-    "goal_pose": "geometry_msgs/msg/PoseStamped", "end_effector_goal": "geometry_msgs/msg/PoseStamped",
-    "base_path": "nav_msgs/msg/Path", "end_effector_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
-    "legs": "sensor_msgs/msg/JointState", "brakes": NUMBERS, "leg_configuration": "std_msgs/msg/String",
-}  # fmt: skip
 #: Types of obstacles, by the keys of their topics.
 OBSTACLE_TYPES = {
     "detections": "vision_msgs/msg/Detection3DArray", "occupancy_grid": "nav_msgs/msg/OccupancyGrid", "points": "sensor_msgs/msg/PointCloud2",
@@ -59,11 +54,17 @@ def _topic(name: str) -> str:
 class Topics(Settings):
     """Where messages come from and go to; a remapping is another name here. An empty name switches a topic off.
 
-    ``pose``: another localization's pose of the base in the world frame; it corrects the odometry. ``legs``, ``brakes`` and
-    ``leg_configuration`` are what the service ``set_legs`` does, as topics. ``wrench``: what the end effector is to exert.
+    ``pose``: another localization's pose of the base in the world frame; it corrects the odometry. ``wrench``: what the end effector is to exert.
     ``base_odom``: how far a base that takes speeds went, as its driver says.
     ``detections``, ``occupancy_grid``, ``points``: obstacles, which plans keep clear of; needed once they are named.
     """
+
+    #: Types of goals and orders, by the keys of their topics; and keys of services. A base type adds its own in a subclass.
+    requests: ClassVar[Mapping[str, str]] = {
+        "goal_pose": "geometry_msgs/msg/PoseStamped", "end_effector_goal": "geometry_msgs/msg/PoseStamped",
+        "base_path": "nav_msgs/msg/Path", "end_effector_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",
+    }  # fmt: skip
+    services: ClassVar[tuple[str, ...]] = ()
 
     joint_states: str = "/joint_states"
     imu: str = "/imu"
@@ -78,10 +79,6 @@ class Topics(Settings):
     end_effector_path: str = "/end_effector_path"
     cmd_vel: str = "/cmd_vel"
     wrench: str = "/wrench"
-    legs: str = "/legs"
-    brakes: str = "/brakes"
-    leg_configuration: str = "/leg_configuration"
-    set_legs: str = "/set_legs"
     odom: str = "/odom"
     end_effector_pose: str = "/end_effector_pose"
     plan: str = "/plan"
@@ -197,7 +194,7 @@ class RosSettings(Settings):
     """What every base type's settings have; subclasses (:meth:`wbmpc.bases.base.BaseType.ros_settings`) add a type's own, with its ``cost``.
 
     ``joints``: our name of a joint to the bus's; ``ignore``: joints of the bus that are not ours. ``controllers``: left out, one for each
-    of :func:`drive_groups` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go out in the order of the legs. ``use_sim_time``: time is
+    of :func:`drive_groups` on ``GROUP_controller/commands``; brakes (1 open, 0 closed) go out in the order of their joints. ``use_sim_time``: time is
     what ``/clock`` says. ``lockstep``: so it does, and a solve takes the modeled ``mpc.computation_delay`` of that time, however fast the
     machine is. ``actuator_time_constant`` [s] of the drives; ``state_age`` [s]: by the wall clock, how old joint states are when they come,
     and ``wrench`` (robots that balance).
@@ -371,7 +368,9 @@ def _check_topics(settings: RosSettings, controllers: dict[str, Controller]) -> 
     if settings.frames.base in (settings.frames.world, MAP):
         raise InputError(f"key 'frames.base': a frame above it is called '{settings.frames.base}' too")
     seen: dict[str, str] = {}
-    named = {f"topics.{k}": v for k, v in settings.topics.model_dump().items() if v and k != "set_legs"}
+    named = {
+        f"topics.{k}": v for k, v in settings.topics.model_dump().items() if v and k not in settings.topics.services
+    }
     named |= {f"controllers.{k}.topic": c.topic for k, c in controllers.items()}
     for key, name in named.items():
         topic = full_name(name)

@@ -38,12 +38,12 @@ from wbmpc.runtime.safety import (
 )
 from wbmpc.runtime.shared_memory import Board, Mailbox, Sizes, TimedPolicy
 from wbmpc.runtime.statistics import Punctuality, Report
-from wbmpc.runtime.stop_control import RobotInterface, StopControl
+from wbmpc.runtime.stop_control import RobotInterface, StopControl, Timed
 from wbmpc.runtime.worker import NUMBERS, RECORDS, WORKER_COMMANDS, Worker
 
 #: Commands and measurements of one robot.
 C = TypeVar("C")
-M = TypeVar("M")
+M = TypeVar("M", bound=Timed)
 _LOG = logging.getLogger("wbmpc")
 #: For how long [s] at most a tick may end by itself before a shutdown stops the robot; then for how long each loop may end.
 _TICK_ENDS, _LOOP_ENDS = 0.5, 5.0

@@ -156,8 +156,8 @@ def _views(data: np.ndarray, fields: Fields) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Numbers of states, inputs, intervals, model parameters and straight hard rows of several inputs (or of some modes, or around
-    references) of a problem, and whether such rows move: what its messages need."""
+    """What messages about a problem need: numbers of states ``nx``, inputs ``nu``, intervals ``n``, model ``parameters`` and straight
+    hard ``rows`` of several inputs (or of some modes, or around references), and whether such rows are ``moving``."""
 
     nx: int
     nu: int

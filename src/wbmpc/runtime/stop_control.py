@@ -13,8 +13,15 @@ from wbmpc.runtime.safety import RealTimeSettings
 _LOG = logging.getLogger("wbmpc")
 
 
+class Timed(Protocol):
+    """What has a ``time`` [s]."""
+
+    @property
+    def time(self) -> float: ...
+
+
 #: Messages of one robot: what it measures and what it is commanded.
-MeasurementT = TypeVar("MeasurementT", covariant=True)
+MeasurementT = TypeVar("MeasurementT", covariant=True, bound=Timed)
 CommandT = TypeVar("CommandT", contravariant=True)
 
 

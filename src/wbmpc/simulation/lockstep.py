@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeVar, cast
 import numpy as np
 
 from wbmpc.checks import not_negative, real_number
-from wbmpc.control.protocols import Controller, RobotController
+from wbmpc.control.protocols import RobotController
 from wbmpc.errors import (
     DisturbanceTooLarge,
     EndedByUser,
@@ -180,15 +180,15 @@ def interrupt_noted() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _running(plant: Plant[Any, Any], controller: Controller | None, *rest: Any) -> Running:
+def _running(plant: Plant[Any, Any], controller: RobotController | None, *rest: Any) -> Running:
     """Loops take any plant and controller; what is watched has what can be shown as well."""
-    return Running(cast("SimulatedRobot", plant), cast("RobotController | None", controller), *rest)
+    return Running(cast("SimulatedRobot", plant), controller, *rest)
 
 
 @contextmanager
 def watched(
     plant: Plant[Any, Any], period: float, duration: float, progress: Progress | None,
-    controller: Controller | None = None,
+    controller: RobotController | None = None,
 ) -> Iterator[Callable[[float, Any], None]]:  # fmt: skip
     """For experiments that step a plant themselves: its watchers see this loop as they see :func:`run_lockstep`'s.
 
@@ -222,7 +222,7 @@ def watched(
 
 
 def run_lockstep(
-    plant: Plant[C, M], controller: Controller[M, C], mpc: MPC | None, timing: Timing, duration: float,
+    plant: Plant[C, M], controller: RobotController[M, C], mpc: MPC | None, timing: Timing, duration: float,
     record: Callable[[float, C, PolicyQueue], None], progress: Progress | None = None,
     done: Callable[[], bool] | None = None,
 ) -> Ending:  # fmt: skip
@@ -263,7 +263,7 @@ def run_lockstep(
     return ending
 
 
-def _come_to_rest(plant: Plant[C, M], controller: Controller[M, C], timing: Timing, longest: float) -> None:
+def _come_to_rest(plant: Plant[C, M], controller: RobotController[M, C], timing: Timing, longest: float) -> None:
     """Stop the robot, which nothing pushes any more, until it rests: for :data:`STOP_TIME` at least, and the ``longest`` time [s] at most."""
     plant.end_pushes()
     for _ in range(max(round(longest / STOP_TIME), 1)):
@@ -273,7 +273,7 @@ def _come_to_rest(plant: Plant[C, M], controller: Controller[M, C], timing: Timi
 
 
 def _tick(
-    plant: Plant[C, M], controller: Controller[M, C], mpc: MPC | None, timing: Timing, i: int, plans: PolicyQueue,
+    plant: Plant[C, M], controller: RobotController[M, C], mpc: MPC | None, timing: Timing, i: int, plans: PolicyQueue,
     record: Callable[[float, C, PolicyQueue], None], watchers: tuple[Watcher, ...],
 ) -> Ending:  # fmt: skip
     """One controller period: measure, plan when it is time, command, step. An ending with a reason if it was the last."""

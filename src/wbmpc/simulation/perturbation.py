@@ -30,10 +30,10 @@ class Perturbation(BaseModel):
 
     What the plants of all robots read; a base type adds its own in a subclass (:meth:`wbmpc.bases.base.BaseType.perturbation`).
 
-    ``mass``: relative error of the bodies' masses; ``inertia``: relative error of the bodies' inertias; ``com_offset`` [m]: shift of
+    ``mass`` [1]: relative error of the bodies' masses; ``inertia`` [1]: relative error of the bodies' inertias; ``com_offset`` [m]: shift of
     centers of mass, per axis; ``joint_offset`` [rad]: zero errors of the encoders of hinges and arm.
 
-    ``actuator_time_constant`` [s]: lag of the drives; ``actuator_time_constant_spread``: relative spread of the lag, drive by drive;
+    ``actuator_time_constant`` [s]: lag of the drives; ``actuator_time_constant_spread`` [1]: relative spread of the lag, drive by drive;
     ``friction``: coefficient of the floor, a range or one number.
 
     ``encoder_jitter`` [s]: the values of a message are up to this old; ``arm_counts``: encoder counts per turn of the arm's joints,

@@ -193,7 +193,7 @@ class SQP:
 
     @property
     def max_effort(self) -> Effort:
-        """What one :meth:`Solver.run` costs at most, whatever happens: in real time by default 13 directions and 56 trial points.
+        """What one :meth:`Solver.solve` costs at most, whatever happens: in real time by default 13 directions and 56 trial points.
 
         ``iterations``, extra ones while steps are cut, a restart from a roll-out, and one with inputs held within rows; each tries the
         step halved down to ``min_step``, and once more as a whole with ``accept_min_step``; four points for roll-outs."""

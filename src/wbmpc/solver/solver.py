@@ -33,7 +33,7 @@ from wbmpc.solver.settings import SLQ, SQP, check_settings_type
 from wbmpc.solver.simulation_arguments import SIMULATED, simulation_arguments
 from wbmpc.solver.solution import COLUMNS, Solution, Status
 from wbmpc.solver.violations import violation_message
-from wbmpc.solver.warm_start import start_from, take_as_result
+from wbmpc.solver.warm_start import start_from
 from wbmpc.solver.workspace import LOG
 
 if TYPE_CHECKING:
@@ -186,11 +186,6 @@ class Solver(SolverResults):
         with self.exclusive.between("Solver.warm_start"):
             start_from(self, x, u)
 
-    def use(self, x: np.ndarray, u: np.ndarray) -> None:
-        """Take states x (N + 1, nx) and inputs u (N, nu) as the result of the last solve, without feedback."""
-        with self.exclusive.between("Solver.use"):
-            take_as_result(self, x, u)
-
     @contextmanager
     def barrier(self, value: float) -> Iterator[None]:
         """Context manager: solves in it have a barrier parameter of at least ``value`` (compiled back end only)."""
@@ -218,9 +213,9 @@ class Solver(SolverResults):
         """Times (N + 1) [s] of the nodes of a solve that starts at ``t0`` [s], from its start: events move them (``align_events``)."""
         from wbmpc.solver.receding import node_times
 
-        return node_times(self.ocp.grid, self.ocp.align_events, self.tables(), t0)
+        return node_times(self.ocp.grid, self.ocp.align_events, self._current_tables(), t0)
 
-    def tables(self) -> Tables:
+    def _current_tables(self) -> Tables:
         """References and modes as the compiled code reads them."""
         from wbmpc.solver.receding import make_tables
 
@@ -237,7 +232,7 @@ class Solver(SolverResults):
         return tables
 
     # ------------------------------------------------------------------ solve
-    def run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
+    def _run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
         """Shift by ``delta`` [s], sample at ``t0`` [s], iterate in place from ``x0`` (nx): (status code, iterations). Compiles nothing."""
         with self.exclusive:
             self._check_terms()
@@ -245,9 +240,9 @@ class Solver(SolverResults):
             if self.settings.backend == "interpreted":
                 self.x0 = x0
                 with Interruptible() as signals:
-                    return self.twin.run(self.tables(), t0, delta, x0, self.settings, self.log, signals.check)
+                    return self.twin.run(self._current_tables(), t0, delta, x0, self.settings, self.log, signals.check)
             self.x0[:] = x0
-            tables, out = self.tables(), self._out
+            tables, out = self._current_tables(), self._out
             self._entry(
                 self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
                 self._numbers, self._log, ctypes.addressof(out),
@@ -350,8 +345,8 @@ class Solver(SolverResults):
             raise InputError(f"initial state: '{self.ocp.dynamics.state.names[int(bad[0])]}' is not finite")
         return x0
 
-    def certified(self, status: int, count: int, elapsed: float) -> Solution:
-        """The solution of the last :meth:`run`, which took ``elapsed`` [s], with violations by name and the cause of a failure."""
+    def _certified(self, status: int, count: int, elapsed: float) -> Solution:
+        """The solution of the last :meth:`_run`, which took ``elapsed`` [s], with violations by name and the cause of a failure."""
         with self.exclusive, Interruptible():
             return diagnose(self, self.solution(status, count, elapsed))
 
@@ -369,11 +364,11 @@ class Solver(SolverResults):
 
     @staticmethod
     def status(code: int) -> Status:
-        """What a status code of :meth:`run` means."""
+        """What a status code of :meth:`_run` means."""
         return _STATUS[code]
 
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
-        """The solution of the last :meth:`run`, which took ``elapsed`` [s]."""
+        """The solution of the last :meth:`_run`, which took ``elapsed`` [s]."""
         row = self.log[count - 1]
         return Solution(
             status=self.status(status),

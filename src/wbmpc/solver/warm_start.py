@@ -23,7 +23,7 @@ def start_from(solver: Solver, x: np.ndarray, u: np.ndarray | None = None) -> No
 
 
 def take_as_result(solver: Solver, x: np.ndarray, u: np.ndarray) -> None:
-    """:meth:`Solver.use`, likewise."""
+    """Take states x (N + 1, nx) and inputs u (N, nu) as the result of the last solve, without feedback."""
     with solver.exclusive:
         start_from(solver, x, u)
         solver.ws.k[:] = 0.0

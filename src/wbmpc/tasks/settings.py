@@ -14,6 +14,7 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Cost
+from wbmpc.robots.examples import EXAMPLES
 from wbmpc.settings import (
     COMPUTATION_DELAY,
     NoStability,
@@ -80,7 +81,7 @@ class TaskSettings(SimulationSettings):
     with a load; where it keeps something, plans are by accelerations. The others (``plant``, ``computation_delay``, ``settle_time``,
     ``obstacles``): :class:`SimulationSettings`."""
 
-    robot: Robot = "differential-ur10"
+    robot: Robot = EXAMPLES["any"]
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})
     avoid: Literal["obstacles", "nothing"] = "obstacles"

@@ -13,8 +13,9 @@ from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.mpc.route import base_part
 from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
+from wbmpc.robots.examples import EXAMPLES
 from wbmpc.settings import Positive, Robot, Stability, SupportMarginSettings, WheelLoadSettings
-from wbmpc.stability import StanceOf, leg_angles, standing
+from wbmpc.stability import StanceOf, configurations, leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
@@ -32,10 +33,11 @@ class TipOverSettings(TaskSettings):
     """``direction`` [rad] from straight ahead, in which the robot drives and reaches; ``speed`` [m/s]: before it stops; ``ramp`` [s]:
     until it has the speed; ``cruise`` [s]: from then to the order to stop, after which the end effector is to be where its reference is
     (by a low weight, or the arm would swing); ``after`` [s]: time for which the robot is watched after the stop; ``legs``:
-    configuration of legs that move (H, X or A), or as at home. Wheels are of one size: a stiff body on four stiff wheels that differ by
+    configuration of legs that move, by its name or angles, "home": as at home, "first": the first that its base
+    type names. Wheels are of one size: a stiff body on four stiff wheels that differ by
     0.2 mm stands on three of them, whatever is planned."""
 
-    robot: Robot = "swerve-ur10"
+    robot: Robot = EXAMPLES["tip-over"]
     plant: MujocoPlant = MujocoPlant(payload=10.0, wheel_radius_each=0.0)
     stability: Stability = WheelLoadSettings(payload=10.0)
     weights: dict[str, Positive] = Field(default={"end_effector": 0.05})
@@ -45,7 +47,7 @@ class TipOverSettings(TaskSettings):
     ramp: float = Field(1.5, ge=0.01, le=60)
     cruise: float = Field(0.3, ge=0, le=60)
     after: float = Field(3.0, ge=0.5, le=600)
-    legs: str = Field("H", max_length=200)
+    legs: str = Field("first", max_length=200)
 
 
 def reaching(robot: RobotModel, direction: float, legs: str, rolling: float | None = None) -> RobotModel:
@@ -53,6 +55,7 @@ def reaching(robot: RobotModel, direction: float, legs: str, rolling: float | No
     legs are in a configuration, and steered wheels roll in the direction, or in another one, ``rolling`` [rad]."""
     x, state = robot.home.copy(), robot.state
     steered = standing(robot).steered
+    legs = next(iter(configurations(robot)), "home") if legs == "first" else legs
     if legs != "home" and steered is not None and steered.leg_group:
         x = steered.with_legs(x, leg_angles(robot, legs))
     along = np.array([np.cos(direction), np.sin(direction), 0.0])

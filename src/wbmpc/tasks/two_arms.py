@@ -20,6 +20,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.ocp import Constraint, Reference, residuals
 from wbmpc.result import Metric, Plot, Series
+from wbmpc.robots.examples import EXAMPLES
 from wbmpc.settings import Positive, Robot
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
@@ -36,7 +37,7 @@ class TwoArmsSettings(SimulationSettings):
     """``robot``: a name or a file, with ``arms``; ``path`` of its first end effector, and of what both hold with it; ``mpc``: what differs from
     the default problem; ``weights``: factors of costs by name."""
 
-    robot: Robot = "pr2"
+    robot: Robot = EXAMPLES["two-arms"]
     path: AnyPath = Sine(length=4.0, amplitude=0.2, lift=0.05)
     mpc: TaskMpcSettings = TaskMpcSettings()
     weights: dict[str, Positive] = Field(default={})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from operator import mul
@@ -19,10 +18,11 @@ from wbmpc.bases.ball.model_steps import Learning, ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.self_contact import SelfContact
-from wbmpc.bases.ball.sensor_faults import EncoderMonitor
+from wbmpc.bases.ball.sensor_faults import BallReadings, EncoderMonitor
 from wbmpc.bases.ball.sent_torques import DriveSettings, SentTorques
 from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.checks import numbers, positive
+from wbmpc.control.monitor import Fault, Monitor, found_by
 from wbmpc.errors import NotFinite, SensorFailure
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -30,7 +30,6 @@ from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
 
-_LOG = logging.getLogger("wbmpc")
 #: A torque that differs from the target by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
 #: Innovations of the base's speeds beyond which a force is a push, and no disturbance to learn: of the ball along x and y [m/s], of yaw, pitch
@@ -45,7 +44,7 @@ class BallController:
     the disturbance is estimated, and the mass at the end effector where the model has it as a parameter; ``estimator``: takes the
     state from the sensors (left out: the measurement's own, idealized one). ``forecast``: ends the run when the plans, or the lean
     that is felt, say that the robot will fall. Raises :class:`InputError` for numbers that cannot be.
-    ``monitor``: of the encoders, where there is an estimator; without what the state needs of them the run ends.
+    ``monitor``: of the encoders, the first of ``monitors``, where there is an estimator; without what the state needs of them the run ends.
     ``shoves``: detects pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
     against forces that it has learned (None: as if there were none).
     """
@@ -81,6 +80,8 @@ class BallController:
             stops = (robot.limits.state_lower[robot.state["arm"]], robot.limits.state_upper[robot.state["arm"]])
             own = SelfContact(robot) if robot.description.collision.self.pairs else None
             self.monitor = EncoderMonitor(self.limits.spin.size, robot.state.groups["arm"], stops, own)
+        self.monitors: list[Monitor[BallReadings]] = [] if self.monitor is None else [self.monitor]
+        self._found: list[Fault] = []
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self._steps_of: tuple[object, object, object, object, ModelSteps | None] | None = None  # of which parts
         self._leant: tuple[object, object, Sequence[float]] | None = (
@@ -153,10 +154,8 @@ class BallController:
         joints, estimator_faults = self.estimator.arm, self.estimator.faults
         own = joints.arrays
         read = arm if joints.first else own["reading"]
-        for fault in self.monitor.update(
-            t, h, read, own["rate"], self._accelerates, estimator_faults, own["surprised"], self.measured.state
-        ):
-            _LOG.warning("%s", fault)
+        more = estimator_faults, own["surprised"], self.measured.state
+        self._found += found_by(self.monitors, BallReadings(t, h, read, own["rate"], self._accelerates, *more))
         if self.monitor.lost:
             raise SensorFailure(f"{self.monitor.lost}; motors off")
         x, rates, acted = self.measured.state, self._rates, self.sent.at(self._late())
@@ -173,12 +172,10 @@ class BallController:
         return bool((np.abs(self.torque - self.target) > self._cut).any())
 
     @property
-    def faults(self) -> list[str]:
-        """What was found of the encoders, and of forces that push the robot away, as messages."""
-        found = [] if self.monitor is None else [str(fault) for fault in self.monitor.faults]
-        return found + (
-            [self.lean_control.push_fault] if self.lean_control is not None and self.lean_control.push_fault else []
-        )
+    def faults(self) -> list[Fault]:
+        """What was found of the encoders, and of forces that push the robot away."""
+        push_fault = None if self.lean_control is None else self.lean_control.push_fault
+        return [*self._found, *filter(None, [push_fault])]
 
     def _carried(self) -> float:
         """The mass [kg] that the end effector is believed to hold."""

@@ -14,6 +14,7 @@ from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.lean_step import BASE, lean_offsets
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.control.monitor import SimpleFault
 from wbmpc.errors import DisturbanceTooLarge
 from wbmpc.kernel.step import Backend, bind
 from wbmpc.lie import cos_sin
@@ -61,11 +62,8 @@ class LeanControl:
 
     def reset(self) -> None:
         """Before another run."""
-        self.push_fault, self._pushed_since, self._driven_since = (
-            "",
-            np.inf,
-            np.inf,
-        )  # of a force that pushes the robot away
+        self.push_fault: SimpleFault | None = None  # of a force that pushes the robot away
+        self._pushed_since = self._driven_since = np.inf
         self._largest = 0.0
 
     def leans(self, force: Array, yaw: float) -> list[float]:
@@ -107,7 +105,7 @@ class LeanControl:
             return
         what = f"a force of at least {np.hypot(*force[:2]):.0f} N that lasts pushes the robot away"
         if fault:
-            self.push_fault = f"{what} ({t:.2f} s)"
+            self.push_fault = SimpleFault(t, what)
             _LOG.warning("%s", self.push_fault)
         if t - self._driven_since >= HELD:
             raise DisturbanceTooLarge(

@@ -271,11 +271,6 @@ class BallRosAdapter(BaseAdapter):
             self._lean_control.reset()
         return controller
 
-    @property
-    def faults(self) -> list[str]:
-        """Encoders that stand still, wheels that slip, a force that pushes the robot away."""
-        return self.controller.faults
-
     def fall(self, x: Array) -> str:
         """By the lean of its body."""
         return fall(x)

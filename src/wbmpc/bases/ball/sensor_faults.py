@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,6 +66,21 @@ def _general(part: str, kind: str) -> str:
     return f"encoder {kind}" if part not in ("imu", "ball") and kind in ("stalled", "jumps") else f"{part} {kind}"
 
 
+class BallReadings(NamedTuple):
+    """What monitors of a ball robot compare: encoders ``arm`` (n) [rad] at ``time`` [s], ``speed`` (n) [rad/s] as estimated,
+    ``acceleration`` (n) [rad/s²] as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator
+    reports, joints (n; 1 or 0) whose reading ``surprised`` it; the robot's ``state`` (nx), which a contact with itself is asked of."""
+
+    time: float
+    interval: float
+    arm: Array
+    speed: Array
+    acceleration: Array | None
+    estimator_faults: Sequence[str]
+    surprised: Array | None = None
+    state: Array | None = None
+
+
 class EncoderMonitor:
     """Watches the encoders of ``wheels`` and of named arm ``joints`` (n).
 
@@ -106,13 +122,9 @@ class EncoderMonitor:
         self._contact = contact
         self._doubted_until = -np.inf
 
-    def update(
-        self, t: float, interval: float, arm: Array, speed: Array, acceleration: Array | None, estimator_faults: Sequence[str],
-        surprised: Array | None = None, state: Array | None = None,
-    ) -> list[EncoderFault]:  # fmt: skip
-        """What is new after readings ``arm`` (n) [rad] at t [s]: ``speed`` (n) [rad/s] as estimated, ``acceleration`` (n) [rad/s²]
-        as the model has it for the ``interval`` [s] before (None: not known yet), faults that the estimator reports, and joints (n; 1 or 0)
-        whose reading ``surprised`` it; the robot's ``state`` (nx), which a contact with itself is asked of."""
+    def update(self, readings: BallReadings, /) -> list[EncoderFault]:
+        """What is new."""
+        t, interval, arm, speed, acceleration, estimator_faults, surprised, state = readings
         a = self._arrays
         a["arm"][:], a["surprised"][:] = arm, 0.0 if surprised is None else surprised
         if acceleration is not None:

@@ -13,6 +13,7 @@ from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.bases.planar_motion.wheel_trust import WheelTrust
 from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.control.monitor import Fault, Monitor, found_by
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.types import Observation
@@ -28,6 +29,7 @@ class PlanarController:
     measured state by it; ``use_gyro``: whether the odometry has one; ``wheels``: what is known of the wheels' errors.
     ``target`` (nu): what the plan asks for; ``sent`` (nu): what of
     it the last command was, after limits; ``clamped``: whether wheels were slowed down to their limits.
+    ``monitors`` of measurements find ``faults``.
     """
 
     def __init__(
@@ -48,6 +50,8 @@ class PlanarController:
         self._changes = np.zeros(robot.input.size)  # how fast these change
         self._trust, self._weighed = WheelTrust.of(robot), -np.inf
         self.measured: PlanarMeasurement | None = None
+        self.monitors: list[Monitor[PlanarMeasurement]] = []
+        self.faults: list[Fault] = []
         self.clamped = False
         self.target, self.sent = np.zeros((2, robot.input.size))
 
@@ -66,6 +70,7 @@ class PlanarController:
             self._weighed = measurement.time
             self.odometry.weigh(self._trust(self._posture(measurement), self._rates, self._changes))
         self.note_lean(previous, measurement)
+        self.faults += found_by(self.monitors, measurement)
 
     def _posture(self, measurement: PlanarMeasurement) -> Array:
         """A state (nx) with measured joints, the base anywhere."""

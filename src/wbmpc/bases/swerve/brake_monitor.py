@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import step
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.kernel.ir import Floats
@@ -85,6 +86,17 @@ def monitor_brakes(b: Brakes, t: float, h: float, unsettled: float) -> tuple[flo
 
 #: Planned rates [rad/s] at which ``expected`` counts in full; largest share of a leg's limit that does not count.
 FAST, CRAWL_SHARE = 0.4, 0.7
+
+
+class SwerveReadings(NamedTuple):
+    """What monitors of a swerve robot compare at ``time`` [s]: measured angles ``leg`` (n) [rad], ``brake`` (n, 1 = open) as commanded and
+    planned ``rate`` (n) [rad/s] of legs; the whole ``measurement``, where there is one."""
+
+    time: float
+    leg: ArrayLike
+    brake: ArrayLike
+    rate: ArrayLike
+    measurement: SwerveMeasurement | None = None
 
 
 @dataclass(frozen=True)
@@ -172,15 +184,15 @@ class BrakeMonitor:
         self._unsettled = -np.inf  # when legs that were reported last had not been held in the plan
         self.time = -np.inf
 
-    def update(self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike) -> list[BrakeFault]:
-        """What is new after measured angles ``leg`` (n) [rad] at t [s], brakes (n, 1 = open) and planned ``rate`` (n) [rad/s].
+    def update(self, readings: SwerveReadings, /) -> list[BrakeFault]:
+        """What is new.
 
         A fault is reported once per command of its brake, or again after it was taken back. Raises :class:`InputError` for what is
         not finite or of another length, and for time that goes back (see :meth:`restart_clock`); it does not count, and the next
         one does.
         """
-        a = self._arrays
-        a["angle"][:], a["brake"][:], a["rate"][:] = self._checked(t, leg, brake, rate)
+        a, t = self._arrays, readings.time
+        a["angle"][:], a["brake"][:], a["rate"][:] = self._checked(*readings[:4])
         if self._first:
             self._open[:], self._anchor[:] = a["brake"] > 0.5, a["angle"]
             self._since[:], self._first, self.time = t - self.settle, False, t

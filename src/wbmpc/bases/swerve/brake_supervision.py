@@ -19,8 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BrakeControl
-from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
+from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings
+from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.checks import finite, numbers
+from wbmpc.control.monitor import Fault, Monitor
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 
@@ -130,8 +132,6 @@ _LOG = logging.getLogger("wbmpc")
 #: Brakes are checked about every so often [s]: legs do not move far meanwhile, and a check takes nearly as long as the rest of
 #: a command.
 POLL_PERIOD = 0.01
-#: What the monitor of brakes sees: time [s], measured legs (n) [rad], brakes (n, 1 = open), planned rates (n) [rad/s].
-Tick = tuple[float, Array, Array, Array]
 #: Brakes (n, 1 = open) at a time [s].
 Brakes = Callable[[float], Array]
 
@@ -141,7 +141,7 @@ class WatchesBrakes(Protocol):
 
     @property
     def real(self) -> list[BrakeFault]: ...
-    def update(self, t: float, leg: Array, brake: Array, rate: Array, /) -> list[BrakeFault]: ...
+    def update(self, readings: SwerveReadings, /) -> list[BrakeFault]: ...
     def restart_clock(self) -> None: ...
 
 
@@ -165,9 +165,8 @@ def brake_monitor(robot: RobotModel) -> BrakeMonitor | None:
 
 
 class BrakeSupervision:
-    """``brakes``: of the legs over time, or a function of time; None: closed. ``monitor`` is None for fixed legs; it looks every
-    :data:`POLL_PERIOD`, and before a stop.
-
+    """``brakes``: of the legs over time, or a function of time; None: closed. ``monitor`` is None for fixed legs; it is the first
+    of ``monitors``, which look every :data:`POLL_PERIOD`, and before a stop.
     """
 
     def __init__(
@@ -176,11 +175,13 @@ class BrakeSupervision:
         self._hinges = len(robot.state.groups.get("leg", ()))
         self._period, self._settings, self.report = period, settings, settings.report
         self.monitor: WatchesBrakes | None = settings.monitor or brake_monitor(robot)
+        self.monitors: list[Monitor[SwerveReadings]] = [] if self.monitor is None else [self.monitor]
+        self._others: list[Fault] = []  # what they found beside brakes
         self.guard: LegGuard | None = None
         self._control: BrakeControl | None
         self._hold: Callable[[Array], None] | None
         self.follow(brakes)
-        self._watched: Tick | None = None  # the newest tick since the last stop
+        self._watched: SwerveReadings | None = None  # the newest tick since the last stop
         self._checked_at = -np.inf  # when the monitor looked last
 
     def follow(self, brakes: BrakeControl | Brakes | None) -> None:
@@ -196,9 +197,9 @@ class BrakeSupervision:
             self.guard = LegGuard(self._hinges)
 
     @property
-    def faults(self) -> list[str]:
-        """Messages of brakes that were found not to answer; those that did after all are left out."""
-        return [] if self.monitor is None else [str(fault) for fault in self.monitor.real]
+    def faults(self) -> list[Fault]:
+        """Brakes that were found not to answer, without those that did after all; and what other monitors found."""
+        return [*(() if self.monitor is None else self.monitor.real), *self._others]
 
     @property
     def holds(self) -> int:
@@ -231,23 +232,24 @@ class BrakeSupervision:
         assert self._hold is not None
         self._hold(guard.until)
 
-    def watch(self, t: float, leg: Array, brake: Array, rate: Array) -> None:
-        """A tick at t [s] of measured legs (n) [rad]: commanded ``brake`` (n, 1 = open), planned leg rates ``rate`` (n) [rad/s].
+    def watch(self, t: float, measured: SwerveMeasurement, brake: Array, rate: Array) -> None:
+        """A tick at t [s]: commanded ``brake`` (n, 1 = open), planned leg rates ``rate`` (n) [rad/s].
 
-        Brakes are judged if the last check is :data:`POLL_PERIOD` ago (within half a period). Times may restart.
+        Monitors judge it if the last check is :data:`POLL_PERIOD` ago (within half a period). Times may restart.
         """
-        if self.monitor is None or not all(map(math.isfinite, rate.tolist())):
+        if not self.monitors or not all(map(math.isfinite, rate.tolist())):
             return  # a command that is not finite is rejected, by the name of its drives, before it goes to them
-        self._watched = t, leg, brake, rate
+        self._watched = SwerveReadings(t, measured.leg, brake, rate, measured)
         if t < self._checked_at - self._period:  # the clock of a new run; by less: the check before a stop was ahead
-            self.monitor.restart_clock()
+            if self.monitor is not None:
+                self.monitor.restart_clock()
             self._checked_at = -np.inf
         if t - self._checked_at >= max(POLL_PERIOD - 0.5 * self._period, 0.0):
             self._check(self._watched)
 
-    def stop(self, leg: Array | None) -> None:
-        """All brakes close: judged is what legs (n) [rad], measured last, have done until now; the guard restarts."""
-        self._check_before_stop(leg)
+    def stop(self, measured: SwerveMeasurement | None) -> None:
+        """All brakes close: judged is what legs, ``measured`` last, have done until now; the guard restarts."""
+        self._check_before_stop(measured)
         guard = self._guarded()
         if guard is None:
             return
@@ -256,28 +258,30 @@ class BrakeSupervision:
         if held:
             self._notify_planner(guard)
 
-    def _check_before_stop(self, leg: Array | None) -> None:
+    def _check_before_stop(self, measured: SwerveMeasurement | None) -> None:
         """A stop ends the plan: what legs have done until now is judged by the commands until now."""
         watched, self._watched = self._watched, None
-        if watched is None or leg is None:
+        if watched is None or measured is None:
             return
-        t, previous, brake, rate = watched
-        if leg.shape != previous.shape or not np.isfinite(leg).all():
+        t, previous, brake, rate, _ = watched
+        leg = measured.leg
+        if leg.shape != np.shape(previous) or not np.isfinite(leg).all():
             return  # the odometry has rejected this message, and the robot stops for it
-        if brake.any() or rate.any():  # else the stop changes nothing for them
-            self._check((max(t + self._period, self._checked_at), leg, brake, rate))
+        if np.any(brake) or np.any(rate):  # else the stop changes nothing for them
+            self._check(SwerveReadings(max(t + self._period, self._checked_at), leg, brake, rate, measured))
 
-    def _check(self, tick: Tick) -> None:
-        """Judge the brakes by a tick, and report what is found."""
-        assert self.monitor is not None
-        self._checked_at = tick[0]
-        for fault in self.monitor.update(*tick):
+    def _check(self, readings: SwerveReadings) -> None:
+        """Judge a tick, and report what is found."""
+        self._checked_at = readings.time
+        for fault in (fault for monitor in self.monitors for fault in monitor.update(readings)):
             self.note(fault)
-            if self.report is not None:
+            if self.report is not None and isinstance(fault, BrakeFault):
                 self.report(fault)
 
-    def note(self, fault: BrakeFault) -> None:
+    def note(self, fault: Fault) -> None:
         """A fault that was found, into the log: a brake that does not hold is no use to the guard."""
-        _LOG.log(logging.INFO if fault.withdraws else logging.WARNING, "%s", fault)
-        if self.guard is not None and fault.kind == "does not hold":
+        _LOG.log(logging.INFO if isinstance(fault, BrakeFault) and fault.withdraws else logging.WARNING, "%s", fault)
+        if not isinstance(fault, BrakeFault):
+            self._others.append(fault)
+        elif self.guard is not None and fault.kind == "does not hold":
             self.guard.give_up(fault.leg)

@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_monitor import SwerveReadings
 from wbmpc.bases.swerve.brake_supervision import Brakes, BrakeSupervision, SupervisionSettings
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
@@ -16,6 +17,7 @@ from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking import SwerveTracking, TrackingSettings
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.checks import positive
+from wbmpc.control.monitor import Fault, Monitor
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import aligned_steering
 from wbmpc.mpc.policy_queue import PolicyQueue
@@ -88,8 +90,13 @@ class SwerveController:
         return self.estimator.slip
 
     @property
-    def faults(self) -> list[str]:
-        """Messages of what was found: brakes that do not answer."""
+    def monitors(self) -> list[Monitor[SwerveReadings]]:
+        """That of brakes first."""
+        return self.supervision.monitors
+
+    @property
+    def faults(self) -> list[Fault]:
+        """What they found: brakes that do not answer."""
         return self.supervision.faults
 
     @property
@@ -146,7 +153,7 @@ class SwerveController:
 
     def stop(self) -> SwerveCommand:
         """Everything at rest, brakes closed. The next plan's commands start from there, as fast as accelerations allow."""
-        self.supervision.stop(None if self.measured is None else self.measured.leg)
+        self.supervision.stop(self.measured)
         self.tracking.rest()
         still = SwerveCommand.stop(swerve_base(self.robot).geometry.modules, len(self.robot.input.groups["arm"]))
         return still if "leg" in self.robot.input else replace(still, brake=np.zeros(0))
@@ -169,4 +176,4 @@ class SwerveController:
     def watch(self, t: float, brake: Array, rate: Array) -> None:
         """See :meth:`BrakeSupervision.watch`: the last measurement under ``brake`` (n, 1 = open) and leg rates (n) [rad/s]."""
         assert self.measured is not None
-        self.supervision.watch(t, self.measured.leg, brake, rate)
+        self.supervision.watch(t, self.measured, brake, rate)

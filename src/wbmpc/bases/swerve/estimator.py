@@ -153,11 +153,6 @@ class SwerveEstimator:
             self._bind_smoothing(settings.smoothing, (settings.noise or OdometryNoise()).mean_age)
         self.measured: SwerveMeasurement | None = None
 
-    def update(self, measurement: SwerveMeasurement) -> Array:
-        """The state (nx) after a message."""
-        self.process(measurement)
-        return self.state()
-
     def process(self, measurement: SwerveMeasurement) -> None:
         """Take in a message."""
         previous, self.measured = self.measured or measurement, measurement
@@ -229,12 +224,6 @@ class SwerveEstimator:
     def slip(self) -> float | None:
         """Speed [m/s] of the fastest wheel against the base as the inertial unit has it; None without one."""
         return None if self._inertial is None else self._inertial.slip
-
-    @property
-    def faults(self) -> tuple[str, ...]:
-        """Wheels that are not believed, as the others contradict them."""
-        odd = () if self._odd is None else np.flatnonzero(self._odd.odd > 0.0)
-        return tuple(f"{self.robot.state.groups['wheel'][i]} contradicts the other wheels" for i in odd)
 
     @property
     def pose(self) -> Array:

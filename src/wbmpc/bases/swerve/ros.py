@@ -7,32 +7,44 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
-from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
-from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, Tick, brake_monitor
+from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, brake_monitor
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc, swerve_problem
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.bases.swerve.ros_legs import Legs, Now
+from wbmpc.bases.swerve.ros_leg_control import LegControl
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
-from wbmpc.ros2.base_adapter import BaseAdapter, Estimate, Fix, Groups, PendingChanges, obstacles_of, planar_estimate
-from wbmpc.ros2.bus import Node
+from wbmpc.ros2.base_adapter import (
+    BaseAdapter,
+    Estimate,
+    Fix,
+    Groups,
+    Orders,
+    PendingChanges,
+    obstacles_of,
+    planar_estimate,
+)
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
+
+if TYPE_CHECKING:
+    from wbmpc.ros2.control import ControlNode
 
 #: The monitor of brakes takes so many ticks at once at most: 10 s of them.
 BACKLOG = 1000
@@ -125,15 +137,15 @@ class DeferredMonitor:
 
     def __init__(self, monitor: BrakeMonitor) -> None:
         self.monitor = monitor
-        self.ticks: deque[Tick] = deque(maxlen=BACKLOG)
+        self.ticks: deque[SwerveReadings] = deque(maxlen=BACKLOG)
 
     @property
     def real(self) -> list[BrakeFault]:
         return self.monitor.real
 
-    def update(self, t: float, leg: Array, brake: Array, rate: Array, /) -> list[BrakeFault]:
+    def update(self, readings: SwerveReadings, /) -> list[BrakeFault]:
         """Nothing is found yet."""
-        self.ticks.append((t, leg, brake, rate))
+        self.ticks.append(readings)
         return []
 
     def restart_clock(self) -> None:
@@ -142,7 +154,7 @@ class DeferredMonitor:
     def judged(self) -> Iterator[BrakeFault]:
         """What the monitor finds in the ticks that were kept."""
         while self.ticks:
-            yield from self.monitor.update(*self.ticks.popleft())
+            yield from self.monitor.update(self.ticks.popleft())
 
 
 class BusSwerveController(SwerveController):
@@ -175,8 +187,10 @@ class BusSwerveController(SwerveController):
 
 
 class SwerveRosAdapter(BaseAdapter):
-    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`."""
+    """See :class:`wbmpc.ros2.base_adapter.BaseAdapter`. ``brakes`` of a run and ``legs`` (n) [rad], where they are to go (None: where they
+    are)."""
 
+    settings: SwerveRosSettings
     watches = "brakes"
     controller: BusSwerveController
     brakes: BrakeControl | None
@@ -248,8 +262,9 @@ class SwerveRosAdapter(BaseAdapter):
         """The controller's problem with other weights."""
         return swerve_problem(self.robot, self.settings.mpc, cost, accelerations=True)
 
-    def leg_commands(self, node: Node, ready: Callable[[], str], now: Callable[[], Now | None]) -> Legs | None:
-        return None if self.brakes is None else Legs(node, self.robot, self.settings, ready, now)
+    def orders(self, control: ControlNode) -> Orders:
+        """To legs with brakes."""
+        return Orders() if self.brakes is None else LegControl(control, self)
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

@@ -17,17 +17,22 @@ from numpy.typing import NDArray
 
 from wbmpc.bases.swerve.brake_control import BrakeControl, reject_floating, reject_floating_way
 from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, SMALL, Node
 from wbmpc.ros2.convert import error_message
-from wbmpc.ros2.settings import REQUEST_TYPES, RosSettings
 from wbmpc.stability import leg_angles
 
 _LOG = logging.getLogger("wbmpc")
 Array = np.ndarray
+#: The service, of the package that docs/how-to/ros2.md shows: its type, its request and its answer.
 SET_LEGS = "wbmpc_msgs/srv/SetLegs"
+DEFINITION = (
+    "string configuration\nstring[] leg\nfloat64[] angle\nbool[] brake_open\n",
+    "bool success\nstring message\n",
+)
 #: Brakes (n, 1 = open) and legs (n) [rad].
 Now = tuple[Array, Array]
 #: A leg is where it should be within this [rad].
@@ -50,7 +55,7 @@ class Legs:
     """
 
     def __init__(
-        self, node: Node, robot: RobotModel, settings: RosSettings, ready: Callable[[], str],
+        self, node: Node, robot: RobotModel, settings: SwerveRosSettings, ready: Callable[[], str],
         now: Callable[[], Now | None],
     ) -> None:  # fmt: skip
         self.robot, self.settings, self._ready, self._now = robot, settings, ready, now
@@ -74,12 +79,12 @@ class Legs:
         for key, take in takes.items():
             if topic := getattr(topics, key):
                 node.subscribe(
-                    topic, REQUEST_TYPES[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True,
+                    topic, topics.requests[key], partial(self._from_topic, topic, take), DEFAULT, deferred=True,
                     largest=SMALL,
                 )  # fmt: skip
         if topics.set_legs:
             try:
-                node.serve(topics.set_legs, SET_LEGS, self._asked, rejected=_failed)
+                node.serve(topics.set_legs, SET_LEGS, self._asked, rejected=_failed, definition=DEFINITION)
             except (ImportError, AttributeError, ValueError, InputError) as error:
                 _LOG.warning("%s is not served (%s); the topics are there", topics.set_legs, error)
 

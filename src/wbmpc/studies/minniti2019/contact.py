@@ -9,7 +9,7 @@ from wbmpc.errors import InputError
 
 
 @dataclass
-class ContactMonitor:
+class ContactDetector:
     """A contact begins when the force has been at least ``on`` [N] for ``debounce`` [s], and ends when it has been at most
     ``off`` [N] for ``release`` [s] (left out: as long). ``since``: when it last changed [s]."""
 

@@ -59,7 +59,7 @@ class PushCone(Settings):
 
 class EstimatedCone(Settings):
     """A cone whose coefficient is not known: the robot's lower bound of it
-    (:class:`wbmpc.studies.minniti2019.grip.GripMonitor`). ``least``: what any surface is trusted to have; ``min_push`` [N]: as of a
+    (:class:`wbmpc.studies.minniti2019.grip.GripEstimator`). ``least``: what any surface is trusted to have; ``min_push`` [N]: as of a
     :class:`PushCone`."""
 
     kind: Literal["estimated"] = "estimated"

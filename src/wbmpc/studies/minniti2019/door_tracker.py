@@ -20,15 +20,16 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallMeasurement
+from wbmpc.control.monitor import SimpleFault
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode
-from wbmpc.studies.minniti2019.contact import ContactMonitor
+from wbmpc.studies.minniti2019.contact import ContactDetector
 from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
 from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, arm_jacobian, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
-from wbmpc.studies.minniti2019.force import ForceMonitor
-from wbmpc.studies.minniti2019.grip import SPEED_TIME, GripMonitor
+from wbmpc.studies.minniti2019.force import ForceMonitor, ForceReadings
+from wbmpc.studies.minniti2019.grip import SPEED_TIME, GripEstimator
 from wbmpc.studies.minniti2019.momentum import SensorlessForce
 
 Array = np.ndarray
@@ -102,7 +103,7 @@ class DoorTracker(BallController):
         self.impedance, self.identify = self.filter.impedance, identify
         self.with_door = "door" in mpc.ocp.dynamics.state
         self.modes = modes(self.with_door)
-        self.contact, self.sensor = (ContactMonitor(**LIGHT) if push.fastest else ContactMonitor()), ForceMonitor()
+        self.contact, self.sensor = (ContactDetector(**LIGHT) if push.fastest else ContactDetector()), ForceMonitor()
         self.phase = "approach"
         self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
@@ -113,13 +114,12 @@ class DoorTracker(BallController):
         self.lever = geometry.lever(push.start, 0.0)
         self._end_effector = end_effector_motion(robot)
         self.sensorless = SensorlessForce(robot)
-        self.grip, self.sliding = GripMonitor(push.friction), np.zeros(2)
+        self.grip, self.sliding = GripEstimator(push.friction), np.zeros(2)
         self._let_go = push.start
         self._arm_jacobian = arm_jacobian(robot)
         self._seen = 0.0  # the measured push [N], as late as the estimated one
         self._asked: deque[float] = deque(maxlen=ASKED)  # pushes [N] that went with the last torques
         self.excess = 0.0  # by how much [N] the push is more than that
-        self._found: list[str] = []
 
     # ------------------------------------------------------------------ state
     def _step(self, x: Array, u: Array, h: float) -> Array:
@@ -184,7 +184,9 @@ class DoorTracker(BallController):
         self._seen += self.sensorless.observer.share(self.period) * (float(-normal @ self.force) - self._seen)
         measured = self._seen
         watched = t >= self.push.begin and (touching or self.phase != "release")
-        for fault in self.sensor.update(t, self.period, touching, measured, estimated if watched else measured):
+        for fault in self.sensor.update(
+            ForceReadings(t, self.period, touching, measured, estimated if watched else measured)
+        ):
             self._distrust(fault.time)
 
     def _distrust(self, t: float) -> None:
@@ -192,13 +194,9 @@ class DoorTracker(BallController):
         self._report(self.sensor.fault, t)
         self.force, self.contact.touching = np.zeros(3), False
 
-    @property
-    def faults(self) -> list[str]:
-        """As of every ball robot; a force sensor that is not believed, a door that was not there."""
-        return [*super().faults, *self._found]
-
     def _report(self, fault: str, t: float) -> None:
-        self._found.append(f"{fault} ({t:.2f} s)")
+        """A force sensor that is not believed, a door that was not there."""
+        self._found.append(SimpleFault(t, fault))
         _LOG.warning("%s", self._found[-1])
 
     def _follow(self, t: float, end_effector: Array, velocity: Array) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.bases.ball.inertial_gate_step import REPEATS, STANDS
 from wbmpc.checks import finite, numbers, positive_time
+from wbmpc.control.monitor import SimpleFault
 from wbmpc.errors import InputError
 
 Array = NDArray[np.float64]
@@ -27,15 +28,15 @@ CONFIRMED, SHARE, MEAN_TIME = 0.15, 0.4, 0.1
 ZERO_TIME, ZERO_LEFT, MAX_ZERO = 0.3, 0.3, 5.0
 
 
-@dataclass(frozen=True)
-class ForceFault:
-    """From ``time`` [s] on a force sensor is not believed: ``str()`` says why."""
+class ForceReadings(NamedTuple):
+    """At ``time`` [s], after another ``interval`` [s] in which the sensor ``measured`` a push [N] and the motion ``estimated`` one; of an end
+    effector that is not ``touching`` it only counts that the motion says it is pushed."""
 
     time: float
-    why: str
-
-    def __str__(self) -> str:
-        return f"{self.why} ({self.time:.2f} s)"
+    interval: float
+    touching: bool
+    measured: float
+    estimated: float
 
 
 class ForceMonitor:
@@ -91,12 +92,11 @@ class ForceMonitor:
         self._at_rest = np.zeros(3)
         return self.fault
 
-    def update(self, t: float, h: float, touching: bool, measured: float, estimated: float) -> list[ForceFault]:
-        """What is new at t [s] after another ``h`` [s] in which the sensor ``measured`` a push [N] and the motion ``estimated`` one; of
-        an end effector that is not ``touching`` it only counts that the motion says it is pushed."""
+    def update(self, readings: ForceReadings, /) -> list[SimpleFault]:
+        """What is new."""
         known = self.fault
-        self._compare(h, touching, measured, estimated)
-        return [ForceFault(t, self.fault)] if self.fault and not known else []
+        self._compare(*readings[1:])
+        return [SimpleFault(readings.time, self.fault)] if self.fault and not known else []
 
     def _compare(self, h: float, touching: bool, measured: float, estimated: float) -> None:
         finite("force sensor", measured=measured, estimated=estimated)

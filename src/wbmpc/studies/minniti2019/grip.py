@@ -17,7 +17,7 @@ UNSURE, KEPT = 0.05, 0.9
 SLIDES, BORNE_TIME = 0.03, 0.10
 
 
-class GripMonitor:
+class GripEstimator:
     """A bound of the friction coefficient, from below. ``bound``: at first ``least``, what any surface is trusted to have; more as soon as
     the end effector has borne more without sliding, by the ratio of the forces across and along the normal; less, but not less than that,
     where it slides, whose ratio is the coefficient. ``slips``: how often it has slid."""

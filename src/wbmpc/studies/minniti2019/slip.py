@@ -1,7 +1,7 @@
 """`slip`: the ball robot pushes a door or a wall whose friction it does not know, and is not to slide on it.
 
 What the surface bears is known when the tip has slid. So the plan trusts little friction at first, more where the tip has borne more
-without sliding, and less as soon as it slides (:class:`wbmpc.studies.minniti2019.grip.GripMonitor`). Beside it the same pushes with a cone
+without sliding, and less as soon as it slides (:class:`wbmpc.studies.minniti2019.grip.GripEstimator`). Beside it the same pushes with a cone
 of one size.
 """
 

@@ -40,7 +40,7 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
                 found.append(calibrate(swerve_base(robot).geometry, record_of(log)))
         except InputError as error:  # the drive is worth keeping
             reason = f"the calibration: {error}"
-        return Outcome(Ending.of(plant, reason=reason), controller.faults, controller)
+        return Outcome(Ending.of(plant, reason=reason), list(map(str, controller.faults)), controller)
 
     measured = lambda _: _metrics(log, found[0]) if found else {}
     return Scenario.single(log, run, measured, lambda _: _plots(log), IDEALIZATIONS)

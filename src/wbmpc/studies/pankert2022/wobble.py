@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.swerve.brake_monitor import BrakeMonitor
+from wbmpc.bases.swerve.brake_monitor import BrakeMonitor, SwerveReadings
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
@@ -113,7 +113,7 @@ def _simulate(
             t = k / RATE
             plant.data.mocap_pos[0, 2] = min(RAISE * t, height) - 0.5 * height
             measured = plant.measure()
-            monitor.update(t, measured.leg, still, still)
+            monitor.update(SwerveReadings(t, measured.leg, still, still))
             if t >= case.start - REST + 0.5:
                 log.add(f"gyro_{key}", t - case.start, measured.gyro[:2])
                 if judged:

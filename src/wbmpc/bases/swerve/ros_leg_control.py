@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wbmpc.ros2.base_adapter import LegCommands
+from wbmpc.bases.swerve.ros_legs import Legs
+from wbmpc.ros2.base_adapter import Orders
 from wbmpc.ros2.convert import error_message
-from wbmpc.stability.configurations import leg_group
 
 if TYPE_CHECKING:
+    from wbmpc.bases.swerve.ros import SwerveRosAdapter
     from wbmpc.ros2.control import ControlNode
 
 #: Brakes are scheduled this long before they are to act [s]: the control thread is never between two entries.
 BRAKE_LEAD = 0.02
 
 
-class LegControl:
-    """``commands`` from the bus; None for a robot without hinged legs."""
+class LegControl(Orders):
+    """``commands`` from the bus for the hinged legs of a robot."""
 
-    def __init__(self, control: ControlNode) -> None:
-        self.control = control
-        self.commands = control.adapter.leg_commands(control.node, self._rejection_reason, self._state)
+    def __init__(self, control: ControlNode, adapter: SwerveRosAdapter) -> None:
+        self.control, self.adapter = control, adapter
+        self.commands = Legs(control.node, adapter.robot, adapter.settings, self._rejection_reason, self._state)
 
     def _rejection_reason(self) -> str:
         """Why legs cannot be moved now; empty if they can."""
@@ -34,13 +35,12 @@ class LegControl:
 
     def _legs(self, x: np.ndarray) -> np.ndarray:
         """The legs (n) [rad] of the state x (nx)."""
-        robot = self.control.robot
-        return x[robot.state[leg_group(robot)]]
+        return x[self.adapter.robot.state["leg"]]
 
     def _state(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Brakes (n, 1 = open) and legs (n) [rad] now; None before the first state."""
         control = self.control
-        seen, brakes = control.adapter.snapshot(), control.adapter.brakes
+        seen, brakes = self.adapter.snapshot(), self.adapter.brakes
         if seen is None or brakes is None:
             return None
         return brakes.commanded(self._brake_time() if control.running else 0.0), self._legs(seen[1])
@@ -48,20 +48,20 @@ class LegControl:
     def update(self) -> None:
         """Take in what has come. The first command starts a robot that stands, and its base stays where it is."""
         control, commands = self.control, self.commands
-        if commands is None or not (commands.waiting or control.running) or control.planning.busy or control.stopping:
+        if not (commands.waiting or control.running) or control.planning.busy or control.stopping:
             return
-        seen = control.adapter.snapshot()
+        seen = self.adapter.snapshot()
         if seen is None:
             return
         try:
-            self.start_or_apply(commands, seen[1])
+            self.start_or_apply(seen[1])
         except Exception as error:
             commands.drop()
             commands.reject(f"a command for the legs is rejected: {error_message(error)}")
 
-    def start_or_apply(self, commands: LegCommands, x: np.ndarray) -> None:
+    def start_or_apply(self, x: np.ndarray) -> None:
         """At the state x (nx): start the run if there is none; then brakes, leg targets and references as commanded."""
-        control, adapter = self.control, self.control.adapter
+        control, adapter, commands = self.control, self.adapter, self.commands
         if not control.running:
             if not commands.waiting:  # it has stopped just now
                 return
@@ -72,13 +72,28 @@ class LegControl:
         if commands.apply(adapter.brakes, t, leg):
             assert commands.angles is not None
             adapter.swing(commands.angles)
-            self._follow_targets(commands, x)
+            self._follow_targets(x)
         if commands.watch(adapter.brakes, t, leg):
-            self._follow_targets(commands, x)
+            self._follow_targets(x)
 
-    def _follow_targets(self, commands: LegCommands, x: np.ndarray) -> None:
+    def _follow_targets(self, x: np.ndarray) -> None:
         """The active task, with the legs where they are to go now."""
-        control = self.control
-        control.adapter.legs = commands.aims
+        control, adapter = self.control, self.adapter
+        adapter.legs = self.commands.aims
         assert control.active_task is not None
-        control.set_task(control.active_task, control.adapter.references(control.active_task, x))
+        control.set_task(control.active_task, adapter.references(control.active_task, x))
+
+    def stop(self, had_task: bool) -> None:
+        """Orders of before a stop do not count after it."""
+        if had_task and self.commands.waiting:
+            self.commands.drop()
+            self.commands.reject("a command for the legs is rejected: the robot has stopped meanwhile")
+        self.commands.stop()
+
+    def rejections(self) -> dict[str, str]:
+        """Orders that were not taken, and legs that have ended on their way."""
+        return {"rejected command for the legs": self.commands.rejected, "legs stopped short": self.commands.short}
+
+    def counts(self) -> dict[str, Any]:
+        """How often the guard has held a leg."""
+        return {"legs held": self.adapter.controller.holds}
