@@ -110,12 +110,13 @@ def test_the_simulated_inertial_unit_is_where_the_file_has_it(tmp_path: Path) ->
 
 def test_a_simulated_robot_on_soft_casters_knows_its_lean_and_one_on_rigid_wheels_needs_none() -> None:
     from wbmpc.bases import base_type
+    from wbmpc.bases.planar_motion.controller import PlanarController
     from wbmpc.simulation.any_perturbation import AnyPerturbation
 
     robot = load_robot("fetch")
     kind = base_type("differential")
     plant = kind.plant(robot, AnyPerturbation(accel_bias=0.0), 3)
-    controller = kind.controller()(robot, plant.truth().pose, 0.0025, lag=0.02)
+    controller = PlanarController(robot, plant.truth().pose, 0.0025, lag=0.02)
     for _ in range(round(4.0 / 0.0025)):
         controller.measure(plant.measure())
         plant.step(controller.stop(), round(0.0025 / plant.timestep))
@@ -127,4 +128,4 @@ def test_a_simulated_robot_on_soft_casters_knows_its_lean_and_one_on_rigid_wheel
     )
     assert np.linalg.norm((seen - truth.tool)[:2]) < 0.5 * np.linalg.norm((level - truth.tool)[:2])
     rigid = load_robot("mecanum-ur10")
-    assert base_type("omnidirectional").controller()(rigid, np.zeros(3), 0.0025).tilt is None
+    assert PlanarController(rigid, np.zeros(3), 0.0025).tilt is None

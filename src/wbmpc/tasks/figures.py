@@ -31,10 +31,15 @@ def general_metrics(log: Log, robot: RobotModel, since: float, fell: bool) -> di
     state, limits = log.array("state"), robot.limits
     outside = np.maximum(limits.state_lower - state, state - limits.state_upper)
     limited = np.isfinite(limits.state_lower) | np.isfinite(limits.state_upper)
-    for name, unit in (("limit_violation_max", "rad"), ("slide_limit_violation_max", "m")):
-        own = outside[:, limited & (np.array(robot.state.units) == unit)]
-        if own.size:
-            found[name] = Metric(max(0.0, float(own.max())), unit)
+    largest = {
+        unit: float(own.max(initial=0.0))
+        for unit in robot.state.units
+        if (own := outside[:, limited & (np.array(robot.state.units) == unit)]).size
+    }
+    if "rad" in largest:
+        found["limit_violation_max"] = Metric(largest["rad"], "rad")
+    if "m" in largest:
+        found["slide_limit_violation_max"] = Metric(largest["m"], "m")
     return found
 
 
