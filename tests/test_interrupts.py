@@ -50,7 +50,7 @@ def view_process() -> None:
     pytest.importorskip("viser")
     from wbmpc.view.core import Window
     from wbmpc.view.realtime import scene_of
-    from wbmpc.view.steering import Controls
+    from wbmpc.view.user_commands import Controls
 
     window = Window("test", "127.0.0.1", 8080, lambda url: None)
     window.start(scene_of(load_robot("panda"))[1].scene, Controls("test", (), False, False), {"x": ()})

@@ -366,7 +366,7 @@ def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch:
     pytest.importorskip("viser")
     from wbmpc.view import session
     from wbmpc.view.live import View
-    from wbmpc.view.steering import REQUESTS, no_requests
+    from wbmpc.view.user_commands import REQUESTS, no_requests
 
     robot = load_robot(gantry)
     start, turn = robot.pose(robot.home)

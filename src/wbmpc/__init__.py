@@ -50,9 +50,9 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.mpc.alternatives import Alternatives as Alternatives
     from wbmpc.mpc.filters import FilterMemory as FilterMemory
     from wbmpc.mpc.mpc import MPC as MPC
-    from wbmpc.mpc.pace import PacedReferences as PacedReferences
     from wbmpc.mpc.policy import Policy as Policy
     from wbmpc.mpc.policy_queue import PolicyQueue as PolicyQueue
+    from wbmpc.mpc.reference_pacing import PacedReferences as PacedReferences
     from wbmpc.mpc.route import follow_route as follow_route
     from wbmpc.obstacles import Obstacles as Obstacles
     from wbmpc.obstacles import shapes as shapes
@@ -136,7 +136,7 @@ _NAMES = {
     "wbmpc.mpc.alternatives": "Alternatives",
     "wbmpc.mpc.filters": "FilterMemory",
     "wbmpc.mpc.mpc": "MPC",
-    "wbmpc.mpc.pace": "PacedReferences",
+    "wbmpc.mpc.reference_pacing": "PacedReferences",
     "wbmpc.mpc.policy": "Policy",
     "wbmpc.mpc.policy_queue": "PolicyQueue",
     "wbmpc.mpc.route": "follow_route",

@@ -11,7 +11,7 @@ from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.speeds import SpeedMPC
+from wbmpc.mpc.speed_commands import SpeedMPC
 from wbmpc.obstacles.floor import floor_boxes
 from wbmpc.obstacles.pairs import arm_pairs, draw_states, self_pairs
 from wbmpc.obstacles.world import Obstacles

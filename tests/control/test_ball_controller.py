@@ -217,7 +217,7 @@ HEIGHT = (18.66 * 0.1956 + 1.2 * 0.48 + 1.4 * 0.63 + 1.1 * 0.94) / (18.66 + 1.2 
 def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     """What the model does not explain tilts it forward, ever faster: room is kept in front, for 0.2 s of that drift."""
     controller, state = ball_controller(), np.zeros(2 * N)
-    controller.shoves = PushEstimator(BALL, np.zeros(3), 0.2)
+    controller.push_estimator = PushEstimator(BALL, np.zeros(3), 0.2)
     for k in range(40):
         controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
         state = linear_step(state, np.zeros(TORQUES), PERIOD)

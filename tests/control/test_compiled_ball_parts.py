@@ -91,7 +91,7 @@ def test_what_a_surprise_makes_of_the_model_is_not_believed(
     for k in range(30):
         acceleration = np.array([500.0 if 4 <= k < 10 else 0.0])
         arm, surprise = np.array([moves * (k >= 3)]), np.array([float(surprised and k == 3)])
-        found += monitor.update(0.0025 * k, 0.0025, arm, np.zeros(1), acceleration, (), surprise)
+        found += monitor.update(BallReadings(0.0025 * k, 0.0025, arm, np.zeros(1), acceleration, (), surprise))
     assert [str(fault.kind) for fault in found] == ["stalled"] * stalled
 
 

@@ -122,7 +122,7 @@ def make(kind: type[BallController], mpc: MPC, observer: bool = True) -> BallCon
     """With all that a new state is asked for."""
     arm = HOME[ROBOT.state["arm"]]
     made = kind(ROBOT, mpc, TORQUE, PERIOD, DriveSettings(0.02, 0.01), observer, None, FallPredictor(ROBOT, arm))
-    made.lean_control, made.shoves = LeanControl(ROBOT, arm, 0.6, 2.0), PushEstimator(ROBOT, arm, 0.2)
+    made.lean_control, made.push_estimator = LeanControl(ROBOT, arm, 0.6, 2.0), PushEstimator(ROBOT, arm, 0.2)
     made.payload = parts(mpc, 0.2)[1] if observer else None
     return made
 
@@ -145,7 +145,7 @@ def test_a_controller_with_a_model_of_its_own_does_the_same() -> None:
             found.append([*what, controller.target, controller.feedforward, controller.sent.last])
         for one, other in zip(*found, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
-        component = ours.forecast._maximum(x[None], ours.payload.mass, np.zeros((1, 2)), ours._answered())  # type: ignore[union-attr]
+        component = ours.fall_predictor._maximum(x[None], ours.payload.mass, np.zeros((1, 2)), ours._answered())  # type: ignore[union-attr]
         assert np.hypot(*ours._leans()[4:]) == pytest.approx(component, rel=1e-9)
         cut += int(ours.clamped)
     assert np.abs(own.disturbance).max() > 0.01 and cut > 10
@@ -177,7 +177,7 @@ def test_a_policy_is_followed_as_by_its_parts(mpc: MPC, backend: Backend) -> Non
 
 def test_what_cannot_be_followed_is_said_by_the_parts(mpc: MPC) -> None:
     controller, plans, plan = make(BallController, mpc, observer=False), PolicyQueue(), policy(1)
-    controller.forecast, wide = None, Policy(plan.times, np.zeros((6, 17)), plan.u, np.zeros((5, 6, 17)))
+    controller.fall_predictor, wide = None, Policy(plan.times, np.zeros((6, 17)), plan.u, np.zeros((5, 6, 17)))
     inputs = Policy(plan.times, plan.x, plan.u[:, :5], plan.gain[:, :5])
     cases = (
         (plan, 0.0, np.full(16, np.nan), NotFinite, "simulate: 'base.x' must be finite"),

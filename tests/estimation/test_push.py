@@ -46,9 +46,9 @@ def test_what_the_model_does_not_explain_moves_the_lean() -> None:
     want = (offset(q + e * kick) - offset(q - e * kick)) / (2.0 * e) / pole
     assert np.hypot(*want) > 1.5 * DEAD
     np.testing.assert_allclose(push.drift, want, rtol=1e-4)
-    np.testing.assert_allclose(push.room, 0.2 * want * (1.0 - DEAD / np.hypot(*want)), rtol=1e-3)
+    np.testing.assert_allclose(push.lean_margin, 0.2 * want * (1.0 - DEAD / np.hypot(*want)), rtol=1e-3)
     push.reset()
-    np.testing.assert_array_equal(push.room, 0.0)
+    np.testing.assert_array_equal(push.lean_margin, 0.0)
 
 
 def test_a_push_is_felt_within_a_few_messages_and_as_soon_forgotten() -> None:
@@ -60,13 +60,13 @@ def test_a_push_is_felt_within_a_few_messages_and_as_soon_forgotten() -> None:
     x = np.concatenate([q, 79 * H * kick])
     for _ in range(20):
         push.update(x, np.zeros(6), H, lambda x, u, h: x)
-    np.testing.assert_array_equal(push.room, 0.0)
+    np.testing.assert_array_equal(push.lean_margin, 0.0)
 
 
 def test_what_is_no_push_leaves_the_limit_as_it_is() -> None:
     push, _ = felt(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]), 80)
     assert 0.02 < np.linalg.norm(push.drift) < DEAD
-    np.testing.assert_array_equal(push.room, 0.0)
+    np.testing.assert_array_equal(push.lean_margin, 0.0)
 
 
 def test_machine_code_finds_what_the_same_source_does_as_python() -> None:

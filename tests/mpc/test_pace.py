@@ -9,7 +9,7 @@ import pytest
 
 import wbmpc as wb
 from clearing import keep_clear, reach_problem, write_arm
-from wbmpc.mpc.pace import FALL, FREE, STANDING, PacedReferences
+from wbmpc.mpc.reference_pacing import FALL, FREE, STANDING, PacedReferences
 
 PERIOD = 0.04
 

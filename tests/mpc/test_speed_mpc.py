@@ -9,7 +9,7 @@ import wbmpc as wb
 from planar_driving import write_robot
 from wbmpc.default_problem import default_mpc, default_settings
 from wbmpc.errors import InputError
-from wbmpc.mpc.speeds import SpeedMPC, SpeedPolicy
+from wbmpc.mpc.speed_commands import SpeedMPC, SpeedPolicy
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.settings import SupportMarginSettings
 from wbmpc.stability import StanceOf

@@ -87,8 +87,8 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
     assert s.until(lambda: closed(s))
     answer = ask(s, {"configuration": "A"})
     assert answer.success and answer.message.startswith("leg_LF to -0.498 rad, leg_RF to 0.498")
-    assert s.until(lambda: np.array_equal(s.control.orders.commands.angles, leg_angles(ROBOT, "A"))), (
-        s.control.orders.commands.angles
+    assert s.until(lambda: np.array_equal(s.control.base_commands.commands.angles, leg_angles(ROBOT, "A"))), (
+        s.control.base_commands.commands.angles
     )
     previous, way = angles(s), leg_angles(ROBOT, "A") - angles(s)
     assert s.until(lambda: np.all((angles(s) - previous) * np.sign(way) > 0.02)), angles(s)
@@ -96,7 +96,7 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
 
 def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
     """All brakes open in H: nothing would hold the base sideways. In X they may, and in H on the way to other angles."""
-    legs, free, nowhere = robot.control.orders.commands, np.ones(4), np.full(4, np.nan)
+    legs, free, nowhere = robot.control.base_commands.commands, np.ones(4), np.full(4, np.nan)
     legs.stop()
     brakes = BrakeControl(ROBOT)
     legs._put(nowhere, free)
@@ -109,7 +109,7 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
 
 def test_a_leg_on_its_way_stays_on_it_where_an_order_is_rejected(robot: Any) -> None:
     """Else its brake would remain open for good: nobody watches whether it arrives, or comes no nearer."""
-    legs, brakes, at = robot.control.orders.commands, BrakeControl(ROBOT), np.zeros(4)
+    legs, brakes, at = robot.control.base_commands.commands, BrakeControl(ROBOT), np.zeros(4)
     legs.stop()
     legs._put(np.array([0.3, np.nan, np.nan, np.nan]), np.full(4, np.nan))
     assert legs.apply(brakes, 1.0, at)
@@ -124,7 +124,7 @@ def test_a_leg_on_its_way_stays_on_it_where_an_order_is_rejected(robot: Any) -> 
 
 def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
     """0.768 of 0.785 rad, and 2 mrad more after 3 s: waited for 4 s from then on. The other leg goes on, slowly."""
-    legs, brakes = robot.control.orders.commands, BrakeControl(ROBOT)
+    legs, brakes = robot.control.base_commands.commands, BrakeControl(ROBOT)
     legs.stop()
     legs._put(np.array([0.785, 0.4, np.nan, np.nan]), np.full(4, np.nan))
     at = lambda t: np.array([0.768 + 0.003 * (t >= 3.0), 0.02 * t, 0.0, 0.0])
@@ -153,7 +153,7 @@ def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:
 @pytest.mark.parametrize("again", [0.785, np.nan])
 def test_orders_that_change_nothing_for_a_leg_do_not_keep_its_brake_open(robot: Any, again: float) -> None:
     """The same order, or another leg's, twice a second: the 4 s without a way are over all the same. A new angle restarts."""
-    legs, brakes, at = robot.control.orders.commands, BrakeControl(ROBOT), np.array([0.768, 0.0, 0.0, 0.0])
+    legs, brakes, at = robot.control.base_commands.commands, BrakeControl(ROBOT), np.array([0.768, 0.0, 0.0, 0.0])
     legs.stop()
     legs._put(np.array([0.785, np.nan, np.nan, np.nan]), np.full(4, np.nan))
     assert legs.apply(brakes, 0.0, at) and not legs.watch(brakes, 0.0, at)
@@ -214,7 +214,7 @@ def test_an_command_that_would_leave_the_base_without_hold_is_answered_so(
     robot: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Legs parallel (H) and all brakes open: the answer is no, not a yes and a line in the log."""
-    legs = robot.control.orders.commands
+    legs = robot.control.base_commands.commands
     monkeypatch.setattr(legs, "_now", lambda: (np.zeros(4), np.zeros(4)))
     legs.stop()
     answer = ask(robot, {"leg": list(LEGS), "brake_open": [True] * 4})
@@ -233,9 +233,9 @@ def test_an_command_that_would_leave_the_base_without_hold_is_answered_so(
 
 def test_a_bad_topic_is_reported(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
     robot.send("/leg_configuration", "std_msgs/msg/String", {"data": "Z"})
-    assert robot.until(lambda: "unknown configuration 'Z'" in robot.control.orders.commands.rejected)
+    assert robot.until(lambda: "unknown configuration 'Z'" in robot.control.base_commands.commands.rejected)
     robot.send("/brakes", "std_msgs/msg/Float64MultiArray", {"data": [2.0]})
-    assert robot.until(lambda: "4 numbers, 0 (closed) or 1 (open)" in robot.control.orders.commands.rejected)
+    assert robot.until(lambda: "4 numbers, 0 (closed) or 1 (open)" in robot.control.base_commands.commands.rejected)
     assert caplog.text.count("unknown configuration 'Z'") == 1
     robot.said.clear()
     reported = lambda: [v.value for m in robot.said for s in m.status for v in s.values if "legs" in v.key]
@@ -245,10 +245,10 @@ def test_a_bad_topic_is_reported(robot: Any, caplog: pytest.LogCaptureFixture) -
 def test_a_flood_of_bad_orders_is_a_few_lines(robot: Any, caplog: pytest.LogCaptureFixture) -> None:
     """Each with another name, so that none is a repetition."""
     for k in range(200):
-        robot.control.orders.commands._from_topic(
-            "/flood", lambda m: robot.control.orders.commands._target("", [m], (), ()), f"leg{k}"
+        robot.control.base_commands.commands._from_topic(
+            "/flood", lambda m: robot.control.base_commands.commands._target("", [m], (), ()), f"leg{k}"
         )
-    assert "unknown leg 'leg199'" in robot.control.orders.commands.rejected
+    assert "unknown leg 'leg199'" in robot.control.base_commands.commands.rejected
     assert 1 <= sum("/flood: " in r.getMessage() for r in caplog.records) <= 5
 
 
@@ -292,6 +292,8 @@ def test_an_angle_that_is_no_number_starts_nobody(
     p = pair()
     p.ready()
     p.send(topic, kind, message)
-    assert p.until(lambda: "finite" in p.control.orders.commands.rejected), p.control.orders.commands.rejected
+    assert p.until(lambda: "finite" in p.control.base_commands.commands.rejected), (
+        p.control.base_commands.commands.rejected
+    )
     p.run(0.05)
     assert p.control.runner is None

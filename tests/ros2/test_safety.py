@@ -18,7 +18,7 @@ if not MISSING:
     from standin import AHEAD, PERIOD, ROBOT, check_stopped, drive
 
     from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
-    from wbmpc.ros2.commanders import Commanders
+    from wbmpc.ros2.command_conflicts import CommandConflicts
 
 
 def test_nothing_is_sent_before_a_state_and_a_goal(pair: Callable[..., Any]) -> None:
@@ -165,7 +165,7 @@ def test_another_controller_that_comes_and_goes_stops_ours(pair: Callable[..., A
     """There for 50 ms, between two looks at the graph; a goal is not taken in the next moment."""
     p = pair()
     drive(p)
-    watch = p.control.commanders
+    watch = p.control.command_conflicts
     watch.update()
     p.control._graph_checked_at = time.monotonic() + 0.3
     there = p.standin.node.publisher("/arm_controller/commands", "std_msgs/msg/Float64MultiArray")
@@ -181,7 +181,7 @@ def test_one_that_is_seen_now_and_then_counts_in_between() -> None:
     """A back end without a memory of who has left, every half second; it is there every second time."""
     now, there = [0.0], [True]
     node = SimpleNamespace(publishers=lambda topic, within: [SimpleNamespace(own=not there[0])])
-    watch, said = Commanders(node, ["/arm"], lambda: now[0]), []  # type: ignore[arg-type]
+    watch, said = CommandConflicts(node, ["/arm"], lambda: now[0]), []  # type: ignore[arg-type]
     for k in range(20):
         now[0], there[0] = 0.5 * k, k % 2 == 0
         watch.update()
@@ -321,10 +321,10 @@ def test_a_command_to_the_legs_at_the_moment_of_a_stop_starts_nothing(pair: Call
     """One that waited when the robot stopped is rejected; and looking after the legs at that moment starts nobody. Later ones do."""
     p = pair()
     drive(p)
-    runner, legs = p.control.runner, p.control.orders.commands
+    runner, legs = p.control.runner, p.control.base_commands.commands
     p.standin.change = lambda m: {**m, "position": m["position"] * np.nan}
     assert wait_until(lambda: p.standin.tick(wait=False) or runner.stopped)  # the node has not looked yet
-    p.control.orders.start_or_apply(p.control.adapter.snapshot()[1])
+    p.control.base_commands.start_or_apply(p.control.adapter.snapshot()[1])
     legs._put(np.array([0.7, np.nan, np.nan, np.nan]), np.full(4, np.nan))
     p.standin.change = lambda m: m
     assert p.until(lambda: "the robot has stopped meanwhile" in legs.rejected)

@@ -27,7 +27,7 @@ from wbmpc.view.camera import camera_offset
 from wbmpc.view.core import LiveView
 from wbmpc.view.replay import Film
 from wbmpc.view.snapshot import fields
-from wbmpc.view.steering import Controls
+from wbmpc.view.user_commands import Controls
 
 pytest.importorskip("viser")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")

@@ -16,7 +16,7 @@ from wbmpc.view.core import solved
 from wbmpc.view.panel import plotted
 from wbmpc.view.replay import Film
 from wbmpc.view.snapshot import NUMBERS, status_text
-from wbmpc.view.steering import Controls
+from wbmpc.view.user_commands import Controls
 
 
 def test_how_clear_a_plan_is_is_shown() -> None:

@@ -27,7 +27,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.view import bounds
 from wbmpc.view.access import Access
-from wbmpc.view.steering import MAX_WEIGHTS, REQUESTS, Controls
+from wbmpc.view.user_commands import MAX_WEIGHTS, REQUESTS, Controls
 
 viser = pytest.importorskip("viser")
 msgspec = pytest.importorskip("msgspec")

@@ -31,7 +31,7 @@ from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import PREPARATION, Ending, Running, Watch, run_lockstep, watched
 from wbmpc.simulation.scene import SceneReader
 from wbmpc.view.session import run_session, system_of
-from wbmpc.view.steering import REQUESTS, no_requests
+from wbmpc.view.user_commands import REQUESTS, no_requests
 
 pytest.importorskip("viser")
 live = pytest.importorskip("wbmpc.view.live")

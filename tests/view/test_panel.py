@@ -18,7 +18,7 @@ from wbmpc.obstacles.world import Obstacles
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import PREPARATION, Watch, watched
 from wbmpc.view.snapshot import NUMBERS, status_text
-from wbmpc.view.steering import OBSTACLE, REQUESTS, Controls, Steering, no_requests
+from wbmpc.view.user_commands import OBSTACLE, REQUESTS, Controls, UserCommands, no_requests
 
 viser = pytest.importorskip("viser")
 live = pytest.importorskip("wbmpc.view.live")
@@ -69,7 +69,7 @@ def test_the_box_shows_how_the_brakes_are(panel: Any, monkeypatch: pytest.Monkey
 
 
 def test_open_are_brakes_of_which_all_are() -> None:
-    steering = Steering.__new__(Steering)
+    steering = UserCommands.__new__(UserCommands)
     steering._brakes_of_legs = ("brake", "leg")
     for brakes, reported in (([1, 1, 1, 1], 1.0), ([0, 0, 0, 0], 0.0), ([1, 0, 1, 1], 0.0)):
         steering.running = SimpleNamespace(controller=SimpleNamespace(brakes=lambda t, b=brakes: np.array(b)))  # type: ignore[assignment]
@@ -135,7 +135,7 @@ def test_a_box_of_the_user_is_an_obstacle_of_the_plan() -> None:
     world, rejected = Obstacles(), []
     mpc = SimpleNamespace(obstacles=world, ocp=SimpleNamespace(terms={}), dynamics=SimpleNamespace(state={}, mode={}))
     running: Any = SimpleNamespace(mpc=mpc, controller=None)
-    steering, requests = Steering(running, np.array([0.0, 0.0, 0.4]), rejected.append), no_requests()
+    steering, requests = UserCommands(running, np.array([0.0, 0.0, 0.4]), rejected.append), no_requests()
     drift = np.array([0.5, -0.2, 0.0, *lie.quaternion_about((0, 0, 1), 0.3)])
     seen = np.array([2.0, 1.0, 0.3, *lie.quaternion_about((0, 0, 1), 0.7)])
 

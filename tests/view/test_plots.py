@@ -16,7 +16,7 @@ from wbmpc.view.actuator_load import SHARES, Loads
 from wbmpc.view.history import POINTS, SAMPLES, SPAN, History, Trail
 from wbmpc.view.leg_configuration import LegConfiguration, configuration_text
 from wbmpc.view.snapshot import TRAIL, errors, status_text
-from wbmpc.view.steering import Controls
+from wbmpc.view.user_commands import Controls
 
 pytest.importorskip("viser")
 from wbmpc.view.panel import plotted

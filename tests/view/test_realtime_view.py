@@ -21,7 +21,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.runtime.shared_memory import Board, Mailbox
 from wbmpc.view.actuator_load import SHARES
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE
-from wbmpc.view.steering import no_requests
+from wbmpc.view.user_commands import no_requests
 
 pytest.importorskip("viser")
 realtime = pytest.importorskip("wbmpc.view.realtime")

@@ -16,7 +16,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Ending, Running, Watch, run_lockstep
 from wbmpc.view.session import system_of
-from wbmpc.view.steering import MAX_WEIGHTS, Steering, no_requests
+from wbmpc.view.user_commands import MAX_WEIGHTS, UserCommands, no_requests
 
 NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 
@@ -30,7 +30,7 @@ class Requests:
     def begin(self, running: Running) -> None:
         self.running = running
         lift = getattr(running.plant.description.base, "ball_radius", 0.0)
-        self.steering = Steering(running, np.array([0.0, 0.0, lift]))
+        self.steering = UserCommands(running, np.array([0.0, 0.0, lift]))
 
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
         while self.plan and t >= self.plan[0][0]:
@@ -70,7 +70,7 @@ def test_a_goal_is_given_in_the_world() -> None:
     """With a drift the goal that the MPC gets is the one that the user sees, in the estimate's frame."""
     running = drive(made, "swerve-ur10", 0.01, [])
     drift = np.array([0.5, -0.2, 0.0, *lie.quaternion_about((0, 0, 1), 0.3)])
-    steering, requests = Steering(running, np.zeros(3)), no_requests()
+    steering, requests = UserCommands(running, np.zeros(3)), no_requests()
     seen = np.array([1.0, 0.5, 0.8, *lie.quaternion_about((0, 1, 0), 0.2)])
     requests["goals"][...], requests["goal"][...] = 1, seen
     steering.apply(0.0, requests, drift)
@@ -149,7 +149,7 @@ def test_orders_take_the_reference_of_their_moment() -> None:
     previous.values[:, base.start + 2] = 0.1 * previous.times
     previous.values[:, leg] += 0.05 * previous.times[:, None]
     running: Any = Running(plant, controller, mpc, None, np.inf)  # type: ignore[arg-type]
-    steering, requests = Steering(running, np.zeros(3)), no_requests()
+    steering, requests = UserCommands(running, np.zeros(3)), no_requests()
     position, orientation = robot.pose(robot.home)
     requests["goals"][...], requests["goal"][...] = 1, [*position, *orientation]
     steering.apply(4.0, requests, NOWHERE)
@@ -179,11 +179,11 @@ def test_brakes_of_legs_that_hold_nothing_stay_closed(
     requests, drift = no_requests(), np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     requests["brake_clicks"][...], requests["brakes_open"][...] = 1, 1
     inside, x[controller.robot.state["leg"]] = x[controller.robot.state["leg"]].copy(), 0.0
-    Steering(running, np.zeros(3)).apply(0.0, requests, drift)
+    UserCommands(running, np.zeros(3)).apply(0.0, requests, drift)
     np.testing.assert_array_equal(controller.brakes(0.0), 0.0)
     assert "nothing would hold the base against sideways" in caplog.text
     x[controller.robot.state["leg"]] = inside
-    Steering(running, np.zeros(3)).apply(0.0, requests, drift)
+    UserCommands(running, np.zeros(3)).apply(0.0, requests, drift)
     np.testing.assert_array_equal(controller.brakes(0.0), 1.0)
 
 
@@ -213,7 +213,7 @@ def test_weights_act_without_compiling() -> None:
     robot = load_robot("swerve-ur10")
     home = robot.pose(robot.home)[0]
     firm = drive(made, "swerve-ur10", 1.2, [(0.1, base)])
-    steering = Steering(firm, np.zeros(3))
+    steering = UserCommands(firm, np.zeros(3))
     factors = np.ones(16)
     factors[[c.name for c in steering.costs].index("end_effector")] = 1e-3
     soft = drive(made, "swerve-ur10", 1.2, [(0.05, {"weights": factors}), (0.1, base)])
@@ -221,7 +221,7 @@ def test_weights_act_without_compiling() -> None:
     far = [np.linalg.norm(r.plant.truth().tool - home) for r in (firm, soft)]
     assert far[1] > 1.5 * far[0]
     again = soft.mpc.solver.constants.copy()
-    steering = Steering(soft, np.zeros(3))
+    steering = UserCommands(soft, np.zeros(3))
     steering._weights = steering._seen_weights = factors
     steering.apply(0.0, no_requests(), NOWHERE)
     assert not np.array_equal(soft.mpc.solver.constants, again)
@@ -230,7 +230,7 @@ def test_weights_act_without_compiling() -> None:
 
 def test_orders_before_a_run_are_not_for_it() -> None:
     running = drive(made, "rezero", 0.01, [])
-    steering, requests = Steering(running, np.zeros(3)), no_requests()
+    steering, requests = UserCommands(running, np.zeros(3)), no_requests()
     requests["pushes"][...], requests["push"][...], requests["push_time"][...] = 3, [9, 0, 0], 1.0
     steering.skip(requests)
     steering.apply(0.0, requests, NOWHERE)
@@ -243,7 +243,7 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
     """Not finite, no quaternion, far away: the references stay, the reason is given, and the loop goes on to its end."""
     running = drive(made, name, 0.01, [])
     rejected: list[str] = []
-    steering = Steering(running, np.zeros(3), rejected.append)
+    steering = UserCommands(running, np.zeros(3), rejected.append)
     position, turn = running.controller.robot.pose(running.controller.robot.home)
     previous = running.mpc.reference["end_effector"]
     bad: list[dict[str, Any]] = [

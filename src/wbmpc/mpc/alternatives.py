@@ -26,7 +26,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.clearance import TOLERATED
 from wbmpc.mpc.guess import predicted
 from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.pace import PacedReferences
+from wbmpc.mpc.reference_pacing import PacedReferences
 from wbmpc.mpc.route import base_part, carried_states, carrying_base, set_carried, swung_poses, timed_route, weigh_base
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import ModeSchedule, Reference

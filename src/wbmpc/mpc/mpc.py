@@ -14,7 +14,7 @@ from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.checks import PlanCheck, check_events_fit, check_limits, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
-from wbmpc.mpc.described import Described
+from wbmpc.mpc.display import Described
 from wbmpc.mpc.guess import Bound, Guess, check_found, check_guess
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.path import PathProgress

@@ -21,7 +21,7 @@ from wbmpc.errors import InputError
 from wbmpc.input_file import read_file
 from wbmpc.robots.file_limits import LARGEST, LARGEST_MESH, check_size
 from wbmpc.robots.limited_program import drop_missing_files
-from wbmpc.robots.trial import try_model
+from wbmpc.robots.trial_compilation import try_model
 from wbmpc.robots.urdf_tree import check_tree
 from wbmpc.robots.xacro_file import expand, find_package, has_macros, locate, package_of
 from wbmpc.robots.xml_text import tokens

@@ -45,7 +45,7 @@ class Estimate:
     twist_covariance: Array
 
 
-class Orders:
+class BaseCommands:
     """What a base takes from the bus beside goals, on topics and services of its own (its settings' ``topics``); here nothing."""
 
     def update(self) -> None:
@@ -72,12 +72,12 @@ class BaseAdapter(Protocol):
     ``parameters``: see :class:`wbmpc.runtime.runner.RealTimeRunner`; ``fix``: asked for another localization's pose at every tick;
     after ``relocate`` the next one says where the robot is, whatever was known before. ``origin``: when [s] the runner's clock was 0,
     on the one behind it, which goes on from run to run. ``begin`` makes a new controller and MPC for a run
-    from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``orders``: what the base takes
+    from state x (nx) on. ``problem``: the controller's with another ``cost``, for its weights. ``base_commands``: what the base takes
     from the bus of the node ``control`` beside goals.
     ``obstacles``: what the MPC keeps clear of (:func:`obstacles_of` the settings); None: of nothing.
     ``references`` of a task that begins at x may take long, and are made in another thread.
 
-    An adapter derives from it: what has a body here is that of a base without orders of its own and localization.
+    An adapter derives from it: what has a body here is that of a base without commands of its own and localization.
     """
 
     robot: RobotModel
@@ -105,8 +105,8 @@ class BaseAdapter(Protocol):
         return None
 
     def problem(self, cost: Any) -> OptimalControlProblem: ...
-    def orders(self, control: ControlNode) -> Orders:
-        return Orders()
+    def base_commands(self, control: ControlNode) -> BaseCommands:
+        return BaseCommands()
 
     def rest(self) -> Groups: ...
     def groups(self, command: Any) -> Groups: ...

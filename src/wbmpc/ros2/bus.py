@@ -1,4 +1,4 @@
-"""What a ROS 2 node is for the rest of this room, whichever back end it has."""
+"""What a ROS 2 node is for the rest of this package, whichever back end it has."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.base_adapter import BaseAdapter
 from wbmpc.ros2.bus import SENSOR, SMALL, Node
 from wbmpc.ros2.clock import BusClock
-from wbmpc.ros2.commanders import LINGERS, Commanders
+from wbmpc.ros2.command_conflicts import LINGERS, CommandConflicts
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
@@ -81,11 +81,11 @@ class ControlNode:
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
-        self.orders = self.adapter.orders(self)
+        self.base_commands = self.adapter.base_commands(self)
         self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady)
         self.planning = Planning(self.adapter.references)
         self.obstacles = ObstacleTopics(node, self.adapter, settings, steady, self.now, self._plan_origin)
-        self.commanders = Commanders(node, [c.topic for c in settings.command_topics(robot).values()])
+        self.command_conflicts = CommandConflicts(node, [c.topic for c in settings.command_topics(robot).values()])
         self._logged = self._hold_reason = ""
         self.active_task: Task | None = None
         self._graph_checked_at = -np.inf
@@ -122,7 +122,7 @@ class ControlNode:
         self._process_requests()
         self.yield_to_controller()
         parts = (
-            self.adapter.inspect, self.obstacles.update, self.orders.update, self._send_setpoints, self.health.update,
+            self.adapter.inspect, self.obstacles.update, self.base_commands.update, self._send_setpoints, self.health.update,
             self.publishers.publish, self.rosout.send,
         )  # fmt: skip
         for update in parts:
@@ -317,7 +317,7 @@ class ControlNode:
             self.yield_to_controller()
             self.request_queue.detect_speed_inputs()
             self.source.update()
-            self.commanders.update()
+            self.command_conflicts.update()
         self._check_other_publishers()
 
     def _after_stop(self) -> None:
@@ -326,7 +326,7 @@ class ControlNode:
         if self.request_queue.running is not None:
             self._stop_trajectories()
             self.request_queue.stop()
-        self.orders.stop(self.request_queue.running is not None)
+        self.base_commands.stop(self.request_queue.running is not None)
         self.request_queue.running = None
 
     def _clock_lost(self) -> str:
@@ -353,7 +353,7 @@ class ControlNode:
     def _other_publisher(self) -> str:
         """Who else commands the drives, or sends what has one source; empty if there is no other."""
         clock = self.clock.source.conflict if isinstance(self.clock, BusClock) else ""
-        return self.commanders.message or clock or self.robot_io.conflict or self.source.source.conflict
+        return self.command_conflicts.message or clock or self.robot_io.conflict or self.source.source.conflict
 
     def _check_other_publishers(self) -> None:
         """No robot moves beside another publisher. And a robot that cannot stop because it has lost its localization at least goes

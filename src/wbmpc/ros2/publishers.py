@@ -39,7 +39,7 @@ def collect_statistics(controller: ControlNode) -> dict[str, Any]:
         "task": c.task,
         "solve: median [ms]": _ms(r.solve.median), "solve: 95 % [ms]": _ms(r.solve.p95), "solve: max [ms]": _ms(r.solve.max),
         "missed deadlines of the MPC": r.mpc_misses, "missed deadlines of the controller": r.misses,
-        **c.orders.counts(),
+        **c.base_commands.counts(),
         **plan_clearance(c), "constraint violation": f"{c.adapter.mpc.solve_info['violation']:.2e}",
         "updates": r.updates, "failed solves": r.failures, "late policies": r.late,
         "observation to active policy: median [ms]": _ms(r.latency.median), "clamped ticks": r.clamped,
@@ -62,7 +62,7 @@ def rejections(controller: ControlNode) -> dict[str, str]:
     """What was rejected, and why: goals, commands to the base, poses; until one is taken again. And speeds that are limited."""
     c = controller
     reasons = {
-        "rejected": c.request_queue.rejected, **c.orders.rejections(), "rejected pose": c.source.fault,
+        "rejected": c.request_queue.rejected, **c.base_commands.rejections(), "rejected pose": c.source.fault,
         "rejected obstacles": c.obstacles.fault, "limited speed": c.request_queue.limited,
     }  # fmt: skip
     return {key: why for key, why in reasons.items() if why}

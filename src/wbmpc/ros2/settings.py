@@ -59,7 +59,7 @@ class Topics(Settings):
     ``detections``, ``occupancy_grid``, ``points``: obstacles, which plans keep clear of; needed once they are named.
     """
 
-    #: Types of goals and orders, by the keys of their topics; and keys of services. A base type adds its own in a subclass.
+    #: Types of goals and commands, by the keys of their topics; and keys of services. A base type adds its own in a subclass.
     requests: ClassVar[Mapping[str, str]] = {
         "goal_pose": "geometry_msgs/msg/PoseStamped", "end_effector_goal": "geometry_msgs/msg/PoseStamped",
         "base_path": "nav_msgs/msg/Path", "end_effector_path": "nav_msgs/msg/Path", "wrench": "geometry_msgs/msg/WrenchStamped",

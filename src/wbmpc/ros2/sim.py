@@ -21,7 +21,7 @@ from wbmpc.robots.frames import SUFFIX, FixedFrame, fixed_frames
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.base_driver import SimulatedDriver, ordered_speeds
 from wbmpc.ros2.bus import DEFAULT, LATCHED, LONG, SMALL, Node, Qos
-from wbmpc.ros2.commanders import LINGERS
+from wbmpc.ros2.command_conflicts import LINGERS
 from wbmpc.ros2.convert import check_numbers, error_message, header, pose, quaternion, stamp, vector
 from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.settings import RosSettings, joint_groups

@@ -1,4 +1,4 @@
-"""The last word on a solve: its status, and a message that names the cause of a failure, or what is doubtful about a solution that
+"""Status and cause of a solve: its status, and a message that names the cause of a failure, or what is doubtful about a solution that
 converged."""
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.route import base_part
 from wbmpc.result import Metric
+from wbmpc.tasks.base_following import RAMP, base_path, lead_base, ordered_twist
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.led_base import RAMP, base_path, lead_base, ordered_twist
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.settings import TaskSettings
 

@@ -21,7 +21,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.alternatives import Alternatives
 from wbmpc.mpc.mpc import MPC
-from wbmpc.mpc.pace import PacedReferences
+from wbmpc.mpc.reference_pacing import PacedReferences
 from wbmpc.obstacles.scene import SceneObstacle
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot
@@ -101,7 +101,7 @@ def closed_loop(
     ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
     ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
     sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
-    (:class:`wbmpc.mpc.pace.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
+    (:class:`wbmpc.mpc.reference_pacing.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
     (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance, and has as much more time as another
     way takes. ``done()``, asked at every controller period: whether the task is done before its time. The references of ``mpc`` are the
     task; times begin with the loop. Raises :class:`InputError` for bad settings.

@@ -20,7 +20,7 @@ from wbmpc.simulation.lockstep import preparation, run_lockstep
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.settings import LidarSettings
 from wbmpc.simulation.tracked_arm import TRACKER, track_arm
-from wbmpc.tasks.led_base import RAMP, Order, base_path, lead_base, ordered_twist
+from wbmpc.tasks.base_following import RAMP, Order, base_path, lead_base, ordered_twist
 
 Array = np.ndarray
 #: Strokes: straight [m] and turns [rad], speeds [m/s, rad/s] and their share of the base's limits at most; standing between them [s].

@@ -15,12 +15,12 @@ from wbmpc.errors import RobotStuck, WayDeclined
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.alternatives import WAITS, Alternatives
-from wbmpc.mpc.pace import PacedReferences
+from wbmpc.mpc.reference_pacing import PacedReferences
 from wbmpc.recording.observer import end_effector_goal
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.obstacles import SimulatedObstacles
 from wbmpc.tasks.perception import Perception
-from wbmpc.tasks.progress import DrivenBack, Standing
+from wbmpc.tasks.standstill import DrivenBack, Standing
 
 Array = NDArray[np.float64]
 #: How near [m] to the end of its path the end effector shall be at the end.

@@ -23,7 +23,7 @@ from wbmpc.stability import configurations
 from wbmpc.view.access import Access
 from wbmpc.view.process import BOARD, FAREWELL, Drawer, serve
 from wbmpc.view.snapshot import NUMBERS, errors
-from wbmpc.view.steering import REQUESTS, Controls, Steering, no_requests
+from wbmpc.view.user_commands import REQUESTS, Controls, UserCommands, no_requests
 
 _START = 60.0
 
@@ -126,9 +126,9 @@ class LiveView(Window):
         pushes: bool = True,
     ) -> Controls:  # fmt: skip
         """What there is to control of a run of this robot (None: of none that is described) with this MPC."""
-        names = tuple(cost.name for cost in Steering.costs_of(mpc))
+        names = tuple(cost.name for cost in UserCommands.costs_of(mpc))
         around = mpc is not None and mpc.obstacles is not None
-        legs, base = Steering.brakes_of(mpc) is not None, Steering.base_of(mpc)
+        legs, base = UserCommands.brakes_of(mpc) is not None, UserCommands.base_of(mpc)
         named = () if robot is None else tuple(configurations(robot))  # a page says how legs stand that it cannot move
         return Controls(self.title, names, legs, base, groups, paced, pushes, around, named)
 
@@ -148,7 +148,7 @@ def followed(mpc: MPC | None, t: float, lift: Array) -> ReferencePoses:
     goal, base, way = end_effector_goal(mpc, t, lift), np.full(3, np.nan), np.zeros((0, 3))
     if mpc is not None and "end_effector" in mpc.reference:
         way = mpc.reference["end_effector"].values[:, :3] + lift
-    if mpc is not None and Steering.base_of(mpc):
+    if mpc is not None and UserCommands.base_of(mpc):
         base = mpc.reference["state"].at(t)[mpc.dynamics.state["base"]]
     return ReferencePoses(np.full(7, np.nan) if goal is None else goal, base, way)
 

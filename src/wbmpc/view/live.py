@@ -1,4 +1,4 @@
-"""A live view of a run: a watcher that hands pictures to a process of its own and takes the user's orders from it.
+"""A live view of a run: a watcher that hands pictures to a process of its own and takes the user's commands from it.
 
 The hand-over is two mailboxes in shared memory: neither side ever waits for the other, so a browser that hangs, or a view
 that has crashed, changes nothing in the run.
@@ -27,7 +27,7 @@ from wbmpc.view.history import Factor, Trail
 from wbmpc.view.leg_configuration import LegConfiguration
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import PLAN, REFERENCE, TRAIL, fields, filled, ground
-from wbmpc.view.steering import Steering, no_requests, planar, spatial
+from wbmpc.view.user_commands import UserCommands, no_requests, planar, spatial
 
 #: A run that is late by more than this [s] gives up catching up with the clock.
 _LATEST = 0.2
@@ -99,7 +99,7 @@ class View(LiveView):
         self.show_message(", ".join(text for text in (name, self._previous) if text))
         self._loads = self._loads_of(running)
         self._legs = LegConfiguration(getattr(running.controller, "robot", None), self._observer.reader.joint_names)
-        self._steering = Steering(running, self._observer.lift, self.reject)
+        self._steering = UserCommands(running, self._observer.lift, self.reject)
         self._steering.skip(self._requests)
         self._expect()
         self._steps = int(self._requests["steps"])
@@ -108,7 +108,7 @@ class View(LiveView):
         self._anchor(0.0)
 
     def tick(self, t: float, command: Any, plans: PolicyQueue) -> None:
-        """Pictures and orders; then wait until it is time."""
+        """Pictures and commands; then wait until it is time."""
         start = time.perf_counter()
         self._take_requests()
         self._steer(t)
@@ -194,7 +194,7 @@ class View(LiveView):
         target, on_floor = followed(mpc, t, self._observer.lift), ground(reader.contacts(data))
         goal = lie.pose_compose(self._drift, target.goal) if np.isfinite(target.goal).all() else target.goal
         base_goal = target.base
-        if Steering.base_of(mpc):
+        if UserCommands.base_of(mpc):
             base_goal = planar(lie.pose_compose(self._drift, spatial(base_goal)))
         joints = reader.joint_states(data)
         others = {

@@ -1,4 +1,4 @@
-"""The controls and plots beside the picture: they fill in orders, and show the numbers of snapshots."""
+"""The controls and plots beside the picture: they fill in commands, and show the numbers of snapshots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from wbmpc.view.history import History
 from wbmpc.view.rejection import Rejection
 from wbmpc.view.scene import add_follow, add_legend, name_tab
 from wbmpc.view.snapshot import NUMBERS, plain, status_text
-from wbmpc.view.steering import Controls, no_requests
+from wbmpc.view.user_commands import Controls, no_requests
 
 #: Pictures between two updates of the numbers, and of the plots, which cost a browser more.
 _EVERY, _EVERY_PLOT = 3, 6
@@ -38,7 +38,7 @@ _Line = tuple[str, str, str, float]
 
 
 class Panel:
-    """Widgets of one server; every change writes all orders again, so that none can be lost."""
+    """Widgets of one server; every change writes all commands again, so that none can be lost."""
 
     def __init__(self, server: viser.ViserServer, requests: Mailbox, controls: Controls) -> None:
         self.server, self._requests, self.controls = server, requests, controls
@@ -66,7 +66,7 @@ class Panel:
         """Whether the camera goes with the robot."""
         return bool(self._follow.value)
 
-    # ------------------------------------------------------------------ orders
+    # ------------------------------------------------------------------ commands
     def _send(self, **values: Any) -> None:
         with self._lock:
             for name, value in values.items():

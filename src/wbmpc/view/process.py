@@ -1,4 +1,4 @@
-"""The process of a live view: a server, a stage and a panel that follow a mailbox."""
+"""The process of a live view: a server, a scene and a panel that follow a mailbox."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RATE = 30.0
 OVERLAYS = 3
 #: How long a page goes on saying why the run is over [s], if there is a browser.
 FAREWELL = 4.0
-#: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why; how many orders were ``rejected``, as
+#: What the process (``ready``, ``port``) and the run (``end``; as text what is over, and why; how many commands were ``rejected``, as
 #: note why the last one was) exchange.
 BOARD = ("ready", "port", "end", "rejected")
 #: Makes, in this process, what turns messages into snapshots.

@@ -1,4 +1,4 @@
-"""The view of a real-time runner: its control thread hands out states, its MPC's thread plans and goals, and takes orders.
+"""The view of a real-time runner: its control thread hands out states, its MPC's thread plans and goals, and takes commands.
 
 Both write into mailboxes in shared memory and do not wait; pictures are made in the view's own process, of the estimated
 state by the robot's kinematics. Where the robot is simulated, its physics shows the contacts.
@@ -32,7 +32,7 @@ from wbmpc.view.history import Factor, Trail
 from wbmpc.view.leg_configuration import LegConfiguration
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, TRAIL, filled
-from wbmpc.view.steering import Steering
+from wbmpc.view.user_commands import UserCommands
 
 _HERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 #: How often the session's own thread looks whether the run has ended [s].
@@ -93,7 +93,7 @@ class RealtimeView(LiveView):
         lift = np.array([0.0, 0.0, -self.robot.base.ground])
         stand_in = _Robot(controller, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
-        steering = Steering(running, lift, self.reject)
+        steering = UserCommands(running, lift, self.reject)
         steering.skip(self._requests)
         self._expect()
         previous, planned = mpc.guess, [-np.inf]

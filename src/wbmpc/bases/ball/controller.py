@@ -42,21 +42,21 @@ class BallController:
 
     ``drives``: what the controller believes of them; its commands are for the state in which they will act. ``observer``: whether
     the disturbance is estimated, and the mass at the end effector where the model has it as a parameter; ``estimator``: takes the
-    state from the sensors (left out: the measurement's own, idealized one). ``forecast``: ends the run when the plans, or the lean
+    state from the sensors (left out: the measurement's own, idealized one). ``fall_predictor``: ends the run when the plans, or the lean
     that is felt, say that the robot will fall. Raises :class:`InputError` for numbers that cannot be.
     ``monitor``: of the encoders, the first of ``monitors``, where there is an estimator; without what the state needs of them the run ends.
-    ``shoves``: detects pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
+    ``push_estimator``: detects pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
     against forces that it has learned (None: as if there were none).
     """
 
     def __init__(
         self, robot: RobotModel, mpc: MPC, torque: np.ndarray, period: float, drives: DriveSettings, observer: bool = True,
-        estimator: BallEstimator | None = None, forecast: FallPredictor | None = None,
+        estimator: BallEstimator | None = None, fall_predictor: FallPredictor | None = None,
     ) -> None:  # fmt: skip
         positive("ball robot's controller", period=period)
         numbers("ball robot's controller", "torque", torque, np.size(torque))
         self.robot, self.mpc, self.period, self.estimator = robot, mpc, period, estimator
-        self.forecast = forecast
+        self.fall_predictor = fall_predictor
         self.limits = TorqueLimits(robot, torque.size)
         self._spin, self._rates = self.limits.spin.tolist(), robot.state["arm_velocity"]
         self._cut = _ROUNDING * self.limits.limit
@@ -72,7 +72,7 @@ class BallController:
             if observer and "payload" in robot.parameters
             else None
         )
-        self.shoves: PushEstimator | None = None
+        self.push_estimator: PushEstimator | None = None
         self.lean_control: LeanControl | None = None
         self.measured: BallMeasurement | None = None
         self.monitor: EncoderMonitor | None = None
@@ -102,7 +102,7 @@ class BallController:
         """The model in compiled steps; None where a subclass has one of its own, or the solver's is not compiled."""
         if not self._steps_alike:
             return None
-        a, b, c, d = self.observer, self.payload, self.lean_control, self.forecast
+        a, b, c, d = self.observer, self.payload, self.lean_control, self.fall_predictor
         known = self._steps_of
         if known is None or known[0] is not a or known[1] is not b or known[2] is not c or known[3] is not d:
             own = (self.mpc.solver, self.limits, self.sent, self.period, Learning(a, b, c, d))
@@ -135,13 +135,13 @@ class BallController:
         self._monitor_encoders(m.time, m.arm, self.period)
         self._detect_pushes(measurement.state, self.period)
         self._observe(measurement)
-        if self.forecast is not None:
+        if self.fall_predictor is not None:
             m, component = measurement, self._leans()[4:]
             if component:
-                stop_for(self.forecast.judge(m.time, math.hypot(*component)))
+                stop_for(self.fall_predictor.judge(m.time, math.hypot(*component)))
             else:
                 more = self._carried(), self._pushed(), self._answered()
-                stop_for(self.forecast.update(m.time, m.state, *more))
+                stop_for(self.fall_predictor.update(m.time, m.state, *more))
 
     def _monitor_encoders(self, t: float, arm: np.ndarray, h: float) -> None:
         """Judge the encoders by readings ``arm`` of time t [s], ``h`` [s] after those before.
@@ -201,11 +201,11 @@ class BallController:
 
     def _detect_pushes(self, x: np.ndarray, h: float) -> None:
         """Estimate a push from the state x, ``h`` [s] after the one before."""
-        if self.shoves is not None:
-            self.shoves.update(x, self._acted(), h, self._step)
+        if self.push_estimator is not None:
+            self.push_estimator.update(x, self._acted(), h, self._step)
 
     def _observe(self, measurement: BallMeasurement) -> None:
-        if self.observer is None and self.shoves is None:
+        if self.observer is None and self.push_estimator is None:
             return
         m, forwards = measurement, self._own_parameters
         if self.observer is None or not self._learn(m.time, m.state, self.period, forwards):
@@ -217,7 +217,7 @@ class BallController:
         observer, steps, forwarded = self.observer, self._steps, False
         assert observer is not None
         if steps is not None:
-            pushed = (0.0, 0.0) if self.shoves is None else self.shoves.room
+            pushed = (0.0, 0.0) if self.push_estimator is None else self.push_estimator.lean_margin
             leans, forwarded = steps.learn(t, x, self.sent.at(self._late()), h, forwards, pushed)
         else:
             observer.update(t, x, self._acted(), h)
@@ -253,13 +253,13 @@ class BallController:
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
         own = {"disturbance": self.disturbance}
-        if self.shoves is not None or self.lean_control is not None:
+        if self.push_estimator is not None or self.lean_control is not None:
             own["push"] = np.array(self._room())
         return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
 
     def _room(self) -> Sequence[float]:
         """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
-        pushed = (0.0, 0.0) if self.shoves is None else self.shoves.room
+        pushed = (0.0, 0.0) if self.push_estimator is None else self.push_estimator.lean_margin
         if self.lean_control is None or self.measured is None:
             return pushed
         x, y = self.lean_control.center(self._leans(), float(self.measured.state[2]))
@@ -313,9 +313,9 @@ class BallController:
 
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
         """Torques at the predicted present state."""
-        forecast, plan = self.forecast, plans.current
-        if forecast is not None and plan is not None and plan is not forecast.seen:
-            stop_for(forecast.update_plan(plan, self._carried(), self._answered()))
+        fall_predictor, plan = self.fall_predictor, plans.current
+        if fall_predictor is not None and plan is not None and plan is not fall_predictor.seen:
+            stop_for(fall_predictor.update_plan(plan, self._carried(), self._answered()))
         now, measured, found = t + self.sent.dead * self.period, self.measured, None
         steps = self._steps if self._own_law else None
         if steps is not None and plan is not None and measured is not None:

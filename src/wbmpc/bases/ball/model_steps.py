@@ -33,7 +33,7 @@ class Learning(NamedTuple):
     observer: DisturbanceObserver | None = None
     payload: PayloadEstimator | None = None
     lean: LeanControl | None = None
-    forecast: FallPredictor | None = None
+    fall_predictor: FallPredictor | None = None
 
 
 class ModelSteps:
@@ -66,7 +66,7 @@ class ModelSteps:
 
     def _bind_learning(
         self, robot: RobotModel, observer: DisturbanceObserver, payload: PayloadEstimator | None, lean: LeanControl | None,
-        forecast: FallPredictor | None, backend: Backend,
+        fall_predictor: FallPredictor | None, backend: Backend,
     ) -> Step:  # fmt: skip
         n = observer.size
         names = ("weight", "model", "believed", "apart", "load", "rule", "shift", "whole", "heading", "leans")
@@ -77,7 +77,7 @@ class ModelSteps:
             a |= payload.bound(observer.arrays)
         if lean is not None:
             a |= lean.arrays
-        self._leans = a["leans"][: 4 if forecast is None else 6]
+        self._leans = a["leans"][: 4 if fall_predictor is None else 6]
         self._inertia = _inertia(robot)
         constants = {
             "nu": self._next.size // 2,
@@ -86,7 +86,7 @@ class ModelSteps:
             "inertia": self._inertia.address,
         }
         constants |= {"weighs": payload is not None, "has_lean": lean is not None}
-        constants["component"] = 0 if forecast is None else forecast.component.address
+        constants["component"] = 0 if fall_predictor is None else fall_predictor.component.address
         places = _places(self._solver)
         self._push, self._lean = places.pop("push"), lean
         return bind(learn, self._arrays | a, backend, **constants, **places)
@@ -116,7 +116,7 @@ class ModelSteps:
         self, t: float, x: Array, row: int, h: float, forwards: bool = False, pushed: Sequence[float] = (0.0, 0.0)
     ) -> tuple[list[float], bool]:
         """As :meth:`DisturbanceObserver.update` under the torques in a ``row`` of those that were sent, :meth:`PayloadEstimator.observe`
-        after it, and :meth:`LeanControl.leans`, which it returns; with a forecast, the divergent component (2) [m] that counts after it.
+        after it, and :meth:`LeanControl.leans`, which it returns; with a fall_predictor, the divergent component (2) [m] that counts after it.
         And whether the solver has got all of it as its model's parameters, with the room (2) [m] for what has ``pushed`` the robot: it
         does if this ``forwards`` it, and all is finite."""
         observer, m = self._observer, self._arrays["memory"]

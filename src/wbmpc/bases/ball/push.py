@@ -100,7 +100,7 @@ class PushEstimator:
         self._previous = x.copy(), u.copy()
 
     @property
-    def room(self) -> tuple[float, float]:
+    def lean_margin(self) -> tuple[float, float]:
         """(2) [m], along the world's x and y."""
         x, y = self._arrays["drift"].tolist()
         share = max(0.0, 1.0 - DEAD / max(math.hypot(x, y), 1e-12)) * self.expected_push_time

@@ -263,7 +263,7 @@ class BallRosAdapter(BaseAdapter):
             isinstance(s.disturbance, PushedDisturbance),
             estimator,
         )
-        controller.fix, controller.answer, controller.shoves = self.fix, self._answer, self._push
+        controller.fix, controller.answer, controller.push_estimator = self.fix, self._answer, self._push
         controller.lean_control = self._lean_control
         if self._push is not None:
             self._push.reset()

@@ -36,7 +36,9 @@ class LegHold:
     until: float
 
     def __str__(self) -> str:
-        return f"leg {self.leg} goes astray: its brake is closed until {self.until:.2f} s ({self.time:.2f} s)"
+        return (
+            f"leg {self.leg} deviates from its plan: its brake is closed until {self.until:.2f} s ({self.time:.2f} s)"
+        )
 
 
 class LegGuard:

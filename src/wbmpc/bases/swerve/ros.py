@@ -29,10 +29,10 @@ from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import (
     BaseAdapter,
+    BaseCommands,
     Estimate,
     Fix,
     Groups,
-    Orders,
     PendingChanges,
     obstacles_of,
     planar_estimate,
@@ -262,9 +262,9 @@ class SwerveRosAdapter(BaseAdapter):
         """The controller's problem with other weights."""
         return swerve_problem(self.robot, self.settings.mpc, cost, accelerations=True)
 
-    def orders(self, control: ControlNode) -> Orders:
+    def base_commands(self, control: ControlNode) -> BaseCommands:
         """To legs with brakes."""
-        return Orders() if self.brakes is None else LegControl(control, self)
+        return BaseCommands() if self.brakes is None else LegControl(control, self)
 
     # ------------------------------------------------------------------ commands
     def rest(self) -> Groups:

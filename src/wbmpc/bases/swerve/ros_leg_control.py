@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wbmpc.bases.swerve.ros_legs import Legs
-from wbmpc.ros2.base_adapter import Orders
+from wbmpc.ros2.base_adapter import BaseCommands
 from wbmpc.ros2.convert import error_message
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 BRAKE_LEAD = 0.02
 
 
-class LegControl(Orders):
+class LegControl(BaseCommands):
     """``commands`` from the bus for the hinged legs of a robot."""
 
     def __init__(self, control: ControlNode, adapter: SwerveRosAdapter) -> None:
@@ -84,14 +84,14 @@ class LegControl(Orders):
         control.set_task(control.active_task, adapter.references(control.active_task, x))
 
     def stop(self, had_task: bool) -> None:
-        """Orders of before a stop do not count after it."""
+        """Commands of before a stop do not count after it."""
         if had_task and self.commands.waiting:
             self.commands.drop()
             self.commands.reject("a command for the legs is rejected: the robot has stopped meanwhile")
         self.commands.stop()
 
     def rejections(self) -> dict[str, str]:
-        """Orders that were not taken, and legs that have ended on their way."""
+        """Commands that were not taken, and legs that have ended on their way."""
         return {"rejected command for the legs": self.commands.rejected, "legs stopped short": self.commands.short}
 
     def counts(self) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def make_controller(
         return BallController(*own, DriveSettings(lag, chosen.tracking.actuator_dead_time), *more), p.mpc
     controller, planner = _baseline(settings, chosen, p)
     # by the state alone, for plans that they have are not the optimizer's of the whole robot
-    controller.forecast = FallPredictor(p.robot, p.arm, ahead=0.0)
+    controller.fall_predictor = FallPredictor(p.robot, p.arm, ahead=0.0)
     return controller, planner
 
 

@@ -20,8 +20,8 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
+from wbmpc.simulation.force_tip import SOFT, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.perturbation import Perturbation
-from wbmpc.simulation.tip import SOFT, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.world import Array
 
 #: Half the thickness [m] of the panel, its height [m], and how far [m] its lower edge is above the floor.

@@ -46,8 +46,8 @@ class FrequencyAwareController(BallController):
     def command(self, t: float, plans: PolicyQueue) -> BallCommand:
         """Torques of the feedback policy at the predicted present state; the filters take in what is sent."""
         assert plans.current is not None
-        if self.forecast is not None:
-            stop_for(self.forecast.update_plan(plans.current))
+        if self.fall_predictor is not None:
+            stop_for(self.fall_predictor.update_plan(plans.current))
         x = self.state()
         self.feedforward = self.memory.dynamics.acting(
             plans.current.state(t)[x.size :], plans.current.feedforward(t)

@@ -191,7 +191,7 @@ def task_scenario(
             speed = chosen.disturbance.max_pushed_speed
             controller.lean_control = LeanControl(robot, task.arm, chosen.cost.lean, speed)
         if isinstance(chosen.estimator, PushFilter) and chosen.estimator.expected_push_time > 0.0:
-            controller.shoves = PushEstimator(robot, task.arm, chosen.estimator.expected_push_time)
+            controller.push_estimator = PushEstimator(robot, task.arm, chosen.estimator.expected_push_time)
         joints = JointRecord(log, robot, System(plant, controller, system.mpc, system.timing))
     rows, ticks = RezeroRecord(log, plant, controller), count()
 

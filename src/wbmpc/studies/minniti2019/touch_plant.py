@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from wbmpc.simulation.tip import TIP_RADIUS
+from wbmpc.simulation.force_tip import TIP_RADIUS
 from wbmpc.simulation.world import Array
 from wbmpc.studies.minniti2019.door_plant import DoorPlant
 

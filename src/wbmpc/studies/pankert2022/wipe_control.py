@@ -21,7 +21,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
-from wbmpc.simulation.tip import TIP_MASS, TIP_RADIUS
+from wbmpc.simulation.force_tip import TIP_MASS, TIP_RADIUS
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.wipe_plant import WipeMeasurement
 from wbmpc.tasks.paths import Approach, rise, risen

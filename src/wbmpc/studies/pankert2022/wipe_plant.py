@@ -13,7 +13,7 @@ from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
-from wbmpc.simulation.tip import FORCE, TIP, ForceSensor, add_tip, contact_force
+from wbmpc.simulation.force_tip import FORCE, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.wheeled import CREEP_DECAY, SLIDING_IMPEDANCE
 from wbmpc.types import Edit
 

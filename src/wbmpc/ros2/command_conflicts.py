@@ -12,7 +12,7 @@ from wbmpc.ros2.bus import Node
 LINGERS = 1.0
 
 
-class Commanders:
+class CommandConflicts:
     """Other nodes' publishers on command ``topics``. ``message``: that there is one; empty if there has been none lately."""
 
     def __init__(self, node: Node, topics: list[str], clock: Callable[[], float] = time.monotonic) -> None:

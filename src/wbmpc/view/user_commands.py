@@ -23,7 +23,7 @@ from wbmpc.stability import configurations, leg_angles
 from wbmpc.view import bounds
 
 _LOG = logging.getLogger(__name__)
-#: How many places there are for weights in the orders.
+#: How many places there are for weights in the commands.
 MAX_WEIGHTS = 16
 #: Name of the user's box among the obstacles.
 OBSTACLE = "box of the view"
@@ -67,14 +67,14 @@ class Controls:
     configurations: tuple[str, ...] = ()
 
 
-class _Steered(RobotController, Protocol):
+class _Commanded(RobotController, Protocol):
     """A controller of legs also takes ``brakes(t)`` (n, 1 = open)."""
 
     brakes: Callable[[float], Array]
 
 
-class Steering:
-    """Applies orders to one run, in the run's own thread. Poses come in ``map``; ``drift`` (7) places ``odom`` in it.
+class UserCommands:
+    """Applies commands to one run, in the run's own thread. Poses come in ``map``; ``drift`` (7) places ``odom`` in it.
 
     What cannot be done, or is outside of :mod:`wbmpc.view.bounds`, is left out: ``reject(reason)`` is called.
     """
@@ -91,13 +91,13 @@ class Steering:
         self.costs, self._brakes_of_legs = self.costs_of(self.mpc), self.brakes_of(self.mpc)
 
     @property
-    def _controller(self) -> _Steered:
-        assert self.running.controller is not None, "orders go to runs with a controller"
-        return cast(_Steered, self.running.controller)
+    def _controller(self) -> _Commanded:
+        assert self.running.controller is not None, "commands go to runs with a controller"
+        return cast(_Commanded, self.running.controller)
 
     @property
     def _planner(self) -> MPC:
-        assert self.mpc is not None, "orders to a plan go to runs with an MPC"
+        assert self.mpc is not None, "commands to a plan go to runs with an MPC"
         return self.mpc
 
     @staticmethod
@@ -254,7 +254,7 @@ class Steering:
 
     @property
     def _leg_group(self) -> str:
-        assert self._brakes_of_legs is not None, "only orders to legs ask for it"
+        assert self._brakes_of_legs is not None, "only commands to legs ask for it"
         return self._brakes_of_legs[1]
 
     def _configure(self, name: str) -> None:
@@ -291,7 +291,7 @@ class Steering:
         return float(np.all(self._controller.brakes(t) > 0.5)) if self.has_legs else np.nan
 
     def _brakes(self, is_open: bool) -> None:
-        assert self._brakes_of_legs is not None, "only orders to legs come here"
+        assert self._brakes_of_legs is not None, "only commands to legs come here"
         brake, legs = self._brakes_of_legs
         values = np.full(len(self._planner.dynamics.state.groups[legs]), float(is_open))
         name = "legs free" if is_open else "legs braked"
