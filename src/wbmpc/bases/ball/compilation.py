@@ -7,8 +7,8 @@ from wbmpc.solver.compilation import LIBRARY as DRIVER
 from wbmpc.solver.feedback import LIBRARY as POLICY
 
 _STEPS = (
-    "disturbance", "inertial_gate_step", "filter_step", "filter_solve", "joint_step", "torque_step", "monitor_step", "sensor_step",
-    "payload_step", "lean_step", "push",
+    "disturbance", "inertial_gate_step", "filter_step", "filter_solve", "joint_tracker", "torque_limits", "sensor_faults", "sensor_step",
+    "payload_step", "lean_control", "push",
 )  # fmt: skip
 _PACKAGES = ("bases/ball", "kernel", "constants.py")
 LIBRARY = Library("ball robot", packages=_PACKAGES, modules=tuple(f"wbmpc.bases.ball.{m}" for m in _STEPS))
@@ -17,6 +17,6 @@ compiled, step = LIBRARY.compiled, LIBRARY.step
 MODEL = Library(
     "ball robot with its model",
     packages=(*_PACKAGES, "solver"),
-    modules=("wbmpc.bases.ball.model_step",),
+    modules=("wbmpc.bases.ball.model_steps",),
     uses=(LIBRARY, DRIVER, POLICY),
 )
