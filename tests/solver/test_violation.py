@@ -69,5 +69,5 @@ def test_parameters_modes_and_references_are_those_of_the_solve(
     solver.set_schedule(ModeSchedule((Mode(mode),)))
     solver.set_parameters(np.array([strength]))
     solver.set_reference("there", Reference(np.array([5.9, 6.0]), np.array([[0.24, 0.0], [0.28, 0.0]])))
-    solver.run(np.zeros(2), t0)
+    solver._run(np.zeros(2), t0)
     assert least_violation(solver) is want
