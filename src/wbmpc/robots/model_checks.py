@@ -321,7 +321,7 @@ def check_steadiness(subject: Subject) -> Iterator[Finding]:
     if share > TIPPING:
         yield Finding(
             "warning", "", "key 'arm'", f"in {100 * share:.0f} % of its postures the center of mass is beside the wheels: the robot tips over",
-            "check the masses of the file; narrow the ranges with 'limits.position', or plan with loads of wheels (mpc.model=dynamic)",
+            "check the masses of the file; narrow the ranges with 'limits.position', or plan with loads of wheels (stability=wheel_loads)",
         )  # fmt: skip
 
 
