@@ -113,6 +113,19 @@ def test_failing_from_the_start_is_an_abort() -> None:
         mpc.update(Observation(0.0, START))
 
 
+def test_a_guess_that_writes_into_its_state_changes_nothing_else() -> None:
+    def wipe(t: float, x0: np.ndarray, trajectory: Trajectory) -> None:
+        x0[:] = 0.0
+
+    seen = np.array(START)
+    mpc, untouched = make(wipe), make()
+    for one in (mpc, untouched):
+        one.reset(seen)
+    plan = mpc.update(Observation(0.0, seen))
+    np.testing.assert_array_equal(seen, START)
+    np.testing.assert_array_equal(plan.x, untouched.update(Observation(0.0, seen)).x)
+
+
 @pytest.mark.parametrize("wrong", [3.0, "zero", (1, 2)])
 def test_a_guess_of_a_wrong_type_is_an_input_error(wrong: object) -> None:
     mpc = make()

@@ -287,7 +287,7 @@ class MPC(Described):
         if self._guess is None:
             return
         with self.solver.exclusive.lent():
-            found = self._guess(t, x0, self.solver.trajectory(start))
+            found = self._guess(t, x0.copy(), self.solver.trajectory(start))
         if found is None:
             return
         check_found(found)
