@@ -135,3 +135,15 @@ def follow_line(name: str, seed: int, length: float = 2.0, seconds: float = 7.0)
     assert not ending.reason, ending.reason
     estimated, world = 1e3 * np.max(errors, axis=0)
     return float(estimated), float(world), float(np.hypot(*system.plant.truth().pose[:2]))
+
+
+class Constant:
+    """A policy of one input forever."""
+
+    end = 1.0
+
+    def __init__(self, u: np.ndarray) -> None:
+        self.u = u
+
+    def feedforward(self, t: float) -> np.ndarray:
+        return self.u.copy()

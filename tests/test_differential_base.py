@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from effort import some
-from planar_driving import HEIGHT, RADIUS, drive, follow_line, ideal_plant, kinematics_error, write_robot
+from planar_driving import HEIGHT, RADIUS, Constant, drive, follow_line, ideal_plant, kinematics_error, write_robot
 from wbmpc import Observation, Reference, lie
 from wbmpc.bases import base_type
 from wbmpc.bases.planar_motion.controller import PlanarController
@@ -203,18 +203,6 @@ def test_a_number_that_is_not_finite_is_not_taken_in():
         with pytest.raises(InputError):
             odometry.update(0.1, wheel, gyro)
     assert odometry.update(0.1, [1.0, 1.0], None) == pytest.approx([WHEEL, 0.0, 0.0])
-
-
-class Constant:
-    """A policy of one input forever."""
-
-    end = 1.0
-
-    def __init__(self, u: np.ndarray) -> None:
-        self.u = u
-
-    def feedforward(self, t: float) -> np.ndarray:
-        return self.u.copy()
 
 
 def driven(u: list[float], ticks: int, lag: float = 0.0) -> tuple[PlanarController, PolicyQueue, Any]:

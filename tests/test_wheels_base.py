@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import wbmpc as wb
-from planar_driving import ideal_plant
+from planar_driving import Constant, ideal_plant
 from wbmpc import lie
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.wheels.control import WheelsController, WheelsOdometry
@@ -145,18 +145,6 @@ def test_steered_tires_roll_in_the_plan(tmp_path: Path) -> None:
         robot.base.matrices(x[robot.state["steer"]])[1] @ u[:7] * RADIUS for x, u in zip(states, inputs, strict=True)
     ]
     assert np.abs(slip).max() < 2e-3
-
-
-class Constant:
-    """A policy of one input forever."""
-
-    end = 1.0
-
-    def __init__(self, u: np.ndarray) -> None:
-        self.u = u
-
-    def feedforward(self, t: float) -> np.ndarray:
-        return self.u.copy()
 
 
 @pytest.mark.parametrize("kind", ["beside", "casters"])
