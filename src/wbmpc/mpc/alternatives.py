@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("wbmpc")
 #: References whose time goes on at less than this rate wait; who waits so long [s] starts a search; where it found nothing, the next one
 #: starts so much later [s], and behind a winner, who may have to turn first, so much.
-WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 0.5, 3.0
+WAITS, PATIENCE, AGAIN, AFTER = 0.5, 0.3, 0.3, 3.0
 #: Each way is run ahead in so many solves, so far [s] from one to the next.
 SOLVES, STEP = 10, 0.3
 #: So many of its first plans need not be clear: they start from one that goes on waiting in front of what is in the way, or into it.
