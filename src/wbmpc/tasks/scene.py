@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.base import Reshaping, System
 from wbmpc.errors import RobotStuck, WayDeclined
 from wbmpc.log import Log
@@ -22,7 +22,6 @@ from wbmpc.simulation.obstacles import SimulatedObstacles
 from wbmpc.tasks.perception import Perception
 from wbmpc.tasks.standstill import DrivenBack, Standing
 
-Array = NDArray[np.float64]
 #: How near [m] to the end of its path the end effector shall be at the end.
 GOAL = 0.05
 #: How often [s] true distances are measured.

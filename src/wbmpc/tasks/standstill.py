@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from wbmpc.arrays import Array
+
 #: Who moves within this [m] stands.
 STANDS = 0.05
 #: Who goes back from an obstacle within this [m], with this share of its speed at least, is driven back by it; pauses [s] that do not count.

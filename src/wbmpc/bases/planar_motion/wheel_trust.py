@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.model import PlanarBase, planar_base
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability.robot import Support
 
-Array = NDArray[np.float64]
 #: A wheel with a smaller share of the mean load counts as this; at home every foot of a file whose masses are used has more than that.
 LEAST, STANDING = 0.02, 0.1
 
