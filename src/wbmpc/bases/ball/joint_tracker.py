@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.bases.ball.compilation import step
-from wbmpc.bases.ball.gap import GAP
+from wbmpc.bases.ball.filter import GAP
 from wbmpc.checks import not_negative, numbers, positive_time, scales
 from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import bind, zeros
