@@ -19,6 +19,7 @@ from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
 from wbmpc.checks import not_negative, numbers, positive
+from wbmpc.control.direct import lag_share
 from wbmpc.control.monitor import Fault, Monitor, found_by
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
@@ -91,7 +92,7 @@ class PlanarController:
         self.tilt: TiltFilter | None = TiltFilter(robot.inertial_unit) if soft else None
         self._level: LevelArm | None = LevelArm(robot) if soft else None
         self._moving = robot.input["base"]  # the inputs that turn wheels
-        self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
+        self._blend = lag_share(period, lag)
         self._rates = np.zeros(robot.input.size)  # what lagging drives make of the commands
         self._changes = np.zeros(robot.input.size)  # how fast these change
         self._trust, self._weighed = WheelTrust.of(robot), -np.inf

@@ -17,17 +17,13 @@ from wbmpc.bases.swerve.compilation import step
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import learn_sag
 from wbmpc.checks import not_negative, positive
+from wbmpc.control.direct import lag_share
 from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import bind, zeros
 from wbmpc.model.robot import RobotModel
 
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
 SAG_TIME, MAX_SAG = 1.0, 0.15
-
-
-def lag_share(period: float, lag: float) -> float:
-    """Share of the way to a command that a drive of first order goes in a period [s]; 1 without a ``lag`` [s]."""
-    return float(1.0 - np.exp(-period / lag)) if lag > 0.0 else 1.0
 
 
 class DriveModel:
@@ -137,7 +133,7 @@ class DryFriction:
         positive("dry friction", period=period)
         not_negative("dry friction", lag=lag)
         a = self._arrays = zeros(Friction, count)
-        blend = float(1.0 - np.exp(-period / lag)) if lag > 0.0 else 1.0
+        blend = lag_share(period, lag)
         self._learn, self._drive = (
             bind(step, a, n=count, blend=blend, late=blend * lag / period) for step in (learn, drive)
         )
