@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.tasks.standstill import NEAR, PAUSE, SHARE, STANDS, DrivenBack, Standing
+from wbmpc.tasks.scene import NEAR, PAUSE, SHARE, STANDS, DrivenBack, Standing
 
 STEP = 0.02
 

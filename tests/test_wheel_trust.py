@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from planar_driving import HEIGHT, ideal_plant, write_robot
-from wbmpc.bases.planar_motion.controller import PlanarController
+from wbmpc.bases.planar_motion.controller import PlanarController, WheelTrust
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
-from wbmpc.bases.planar_motion.wheel_trust import WheelTrust
 from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import load_robot
 from wbmpc.obstacles.pairs import draw_states

@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_problem
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_problem
 from wbmpc.kernel.codegen_target import compile_module, load_object
+from wbmpc.kernel.step import Backend, made_as
 from wbmpc.model.ode import Ode
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference, RelaxedBarrier, SmoothL1, residuals, sets
@@ -182,6 +184,12 @@ def hardened_pendulum(settings: SQP | None = None, **kwargs: object) -> Solver:
 def robot(name: str, **base: str):  # type: ignore[no-untyped-def]
     """A robot model, built once."""
     return load_robot(name, **base)
+
+
+def made(backend: Backend | str, kind: Callable[..., Any], *args: object, **keys: object) -> Any:
+    """What ``kind`` makes, with its steps compiled or interpreted."""
+    with made_as(backend):  # type: ignore[arg-type]
+        return kind(*args, **keys)
 
 
 def compile_ir(ir: str) -> object:

@@ -178,10 +178,15 @@ def se2_step(pose: ArrayLike, delta: ArrayLike) -> Array:
     return se2_compose(pose, se2_exp(delta))
 
 
+def wrapped(angle: Any) -> Any:
+    """The angle (any shape) [rad] in [-π, π)."""
+    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
 def se2_log(a: ArrayLike, b: ArrayLike) -> Array:
     """Integral (dx, dy, dyaw) of the constant body twist that moves the pose ``a`` to ``b``; |dyaw| at most π."""
     a, b = np.asarray(a, float), np.asarray(b, float)
-    w = float(np.remainder(b[2] - a[2] + np.pi, 2.0 * np.pi) - np.pi)
+    w = float(wrapped(b[2] - a[2]))
     c, s = np.cos(a[2]), np.sin(a[2])
     x, y = c * (b[0] - a[0]) + s * (b[1] - a[1]), -s * (b[0] - a[0]) + c * (b[1] - a[1])
     half = 0.5 * w

@@ -30,9 +30,6 @@ ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), n
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: FallPredictor(BALL, ARM, plans=0), "'plans' must be a whole number, at least 1"),
-        (lambda: FallPredictor(BALL, ARM, share=-1.0), "'share' must be positive"),
-        (lambda: FallPredictor(BALL, ARM, seconds=NAN), "'seconds' must be finite"),
         (lambda: FallPredictor(BALL, NAN * ARM), "'arm' needs 3"),
         (lambda: LeanControl(BALL, ARM, 0.6, 0.0), "lean_control: 'speed' must be positive"),
         (lambda: LeanControl(BALL, ARM, NAN, 2.0), "lean_control: 'share' must be finite"),

@@ -7,7 +7,7 @@ import pytest
 from swerve_messages import HURRIED, PERIOD, SWERVE, constant_policy, message, swerve_input
 
 from toys import robot
-from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
+from wbmpc.bases.swerve.brake_monitor import CREEP, BrakeFault, BrakeMonitor
 from wbmpc.bases.swerve.brake_supervision import POLL_PERIOD, SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.tracking import TrackingSettings
@@ -59,7 +59,7 @@ def test_brakes_are_looked_at_every_10_ms(monkeypatch: pytest.MonkeyPatch) -> No
         controller.command(k * PERIOD, plans)
     assert looks == pytest.approx(0.01 * np.arange(15))
     (fault,) = controller.supervision.monitor.faults
-    assert 0.0 <= fault.time - 0.01 / (0.1 - controller.supervision.monitor.creep) < 0.01 + PERIOD
+    assert 0.0 <= fault.time - 0.01 / (0.1 - CREEP) < 0.01 + PERIOD
 
 
 def test_brakes_are_judged_when_a_new_run_begins_at_0() -> None:

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from toys import made
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.plant import BallPlant
@@ -26,7 +27,7 @@ HOME = ROBOT.home
 def test_torques_of_both_back_ends(scale: float) -> None:
     """They say the same, within the limits; truth of how much of a lean is kept: a linear program over lean and spin, about the vertical of
     SciPy's rotation of the base."""
-    rng, one, other = np.random.default_rng(1), TorqueLimits(ROBOT, 6), TorqueLimits(ROBOT, 6, "interpreted")
+    rng, one, other = np.random.default_rng(1), TorqueLimits(ROBOT, 6), made("interpreted", TorqueLimits, ROBOT, 6)
     limit, most, x = one.limit[:3], ROBOT.description.limits.spin_effort, HOME.copy()
     for _ in range(30):
         torque, (pitch, roll) = scale * rng.normal(size=6), rng.uniform(-0.3, 0.3, 2)
@@ -47,7 +48,7 @@ def test_what_the_sensors_see(backend: str) -> None:
     rng, h, p = np.random.default_rng(2), 5e-4, BallPerturbation.none()
     wheels, mount = WheelGeometry(rng.normal(size=(4, 3))), rng.normal(size=3)
     draw = p.draw(np.random.default_rng(0), [], 4, 3)
-    sensors = BallSensors(p, draw, wheels, mount, h, 0, rng, (14, 12), (10, 9), backend)  # type: ignore[arg-type]
+    sensors = made(backend, BallSensors, p, draw, wheels, mount, h, 0, rng, (14, 12), (10, 9))
     matrix = lambda q: Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
     turn, push, wheel, before = np.zeros(3), np.zeros(3), np.zeros(4), None
     for k in range(5):
@@ -68,7 +69,7 @@ def test_what_the_sensors_see(backend: str) -> None:
 def test_monitors_of_both_back_ends() -> None:
     """Joints that stand, that move and that surprise; they find the same, at the same times."""
     rng = np.random.default_rng(3)
-    both = [EncoderMonitor(3, ["a", "b", "c"], backend=b) for b in ("compiled", "interpreted")]  # type: ignore[arg-type]
+    both = [made(b, EncoderMonitor, 3, ["a", "b", "c"]) for b in ("compiled", "interpreted")]
     arm, said = np.zeros(3), []
     for k in range(200):
         arm = arm + [0.0, 1e-3, 2e-3 * (k % 50 > 25)]
@@ -87,7 +88,7 @@ def test_what_a_surprise_makes_of_the_model_is_not_believed(
     backend: str, surprised: bool, moves: float, stalled: bool
 ) -> None:
     """A joint stands while the model has it accelerate for 15 ms to 7 rad/s, just after a reading that moved by 1 mrad."""
-    monitor, found = EncoderMonitor(3, ["elbow"], backend=backend), []  # type: ignore[arg-type]
+    monitor, found = made(backend, EncoderMonitor, 3, ["elbow"]), []
     for k in range(30):
         acceleration = np.array([500.0 if 4 <= k < 10 else 0.0])
         arm, surprise = np.array([moves * (k >= 3)]), np.array([float(surprised and k == 3)])

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from toys import robot
+from toys import made, robot
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.rolling import Rolling
 from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import rolling_inverse_kinematics
 
 GEOMETRIES = [swerve_base(robot(name)).geometry for name in ("swerve-ur10", "telescope-ur10", "pentapod-ur10")]
-ROLLING = {b: [Rolling(g, b) for g in GEOMETRIES] for b in ("compiled", "interpreted")}
+ROLLING = {b: [made(b, Rolling, g) for g in GEOMETRIES] for b in ("compiled", "interpreted")}
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])

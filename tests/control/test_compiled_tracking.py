@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from toys import robot
+from toys import made, robot
 from wbmpc import lie
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.tracking import SwerveTracking, TrackingSettings
@@ -27,7 +27,7 @@ def laws(planned: bool) -> list[SwerveTracking]:
         TrackingSettings(lag=0.02, friction=True, planned_steering=planned),
         np.array([1.0, 1.01, 0.99, 1.0]),
     )
-    return [SwerveTracking(ROBOT, PERIOD, settings, scale, b) for b in ("compiled", "interpreted")]  # type: ignore[arg-type]
+    return [made(b, SwerveTracking, ROBOT, PERIOD, settings, scale) for b in ("compiled", "interpreted")]
 
 
 @pytest.mark.parametrize("planned", [True, False])

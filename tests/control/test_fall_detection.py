@@ -32,23 +32,23 @@ def plan(pitch: float, at: float = 0.1) -> Policy:
 
 def test_plans_in_a_row_that_lean_too_far() -> None:
     """The load's center of mass is 0.28 to 0.45 m above the ball: 0.2 rad are within 115 mm, 0.6 rad are not."""
-    fall_predictor = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1001)
-    for pitch in (0.6, 0.6, 0.6, 0.2, 0.6, 0.6, 0.6):
+    fall_predictor = FallPredictor(ROBOT, ARM, ahead=0.1001)
+    for pitch in (*[0.6] * 7, 0.2, *[0.6] * 7):
         policy = plan(pitch)
         stop_for(fall_predictor.update_plan(policy))
         stop_for(fall_predictor.update_plan(policy))  # the same one again
-    with pytest.raises(FallPredicted, match="4 plans in a row"):
+    with pytest.raises(FallPredicted, match="8 plans in a row"):
         stop_for(fall_predictor.update_plan(plan(0.6)))
 
 
 def test_what_a_plan_says_later_is_not_looked_at() -> None:
-    fall_predictor = FallPredictor(ROBOT, ARM, plans=4, ahead=0.1)
+    fall_predictor = FallPredictor(ROBOT, ARM, ahead=0.1)
     for _ in range(20):
         assert fall_predictor.update_plan(plan(0.6, at=0.2)) == []
 
 
 def test_a_state_beyond_reach_is_a_fall_whatever_is_planned() -> None:
-    fall_predictor, t = FallPredictor(ROBOT, ARM, seconds=0.05), 0.0
+    fall_predictor, t = FallPredictor(ROBOT, ARM), 0.0
     for pitch, seconds in ((0.2, 1.0), (0.6, 0.045), (0.2, 0.1), (-0.6, 0.045)):
         for _ in range(round(seconds / 0.0025)):
             t += 0.0025
@@ -73,7 +73,7 @@ def test_a_rate_that_leads_there_counts_like_the_lean() -> None:
 
 def test_a_learned_force_moves_the_lean_from_which_falls_count() -> None:
     """What is 40 mm beyond the reach counts as none if a learned force answers 60 mm of it."""
-    fall_predictor, answered = FallPredictor(ROBOT, ARM, seconds=0.02), FallPredictor(ROBOT, ARM, seconds=0.02)
+    fall_predictor, answered = FallPredictor(ROBOT, ARM), FallPredictor(ROBOT, ARM)
     lean = next(
         p
         for p in np.arange(0.2, 0.8, 0.005)
@@ -81,10 +81,10 @@ def test_a_learned_force_moves_the_lean_from_which_falls_count() -> None:
     )
     fall_predictor._evaluate.arguments[0] = [*tilted(lean), 0.0, 0.0, 0.0]
     away = fall_predictor._evaluate(1)[0].copy()
-    for k in range(20):
+    for k in range(40):
         stop_for(answered.update(0.0025 * k, tilted(lean), shift=-0.06 * away / np.linalg.norm(away)))
     with pytest.raises(FallPredicted):
-        for k in range(20):
+        for k in range(40):
             stop_for(fall_predictor.update(0.0025 * k, tilted(lean)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from toys import made
 from wbmpc.bases.swerve.drives import LEARNED_IN, MAXIMUM, DryFriction, Smoothing
 
 PERIOD, LAG = 0.0025, 0.02
@@ -78,7 +79,7 @@ def test_smoothing_leaves_a_fifth_of_the_jitter_and_no_delay() -> None:
 def test_smoothing_is_that_of_its_formula_in_both_back_ends() -> None:
     """Truth: the recursion in NumPy; the first message, and one of the same time, only start and stay."""
     rng, age, time, value = np.random.default_rng(2), 0.001, 0.025, None
-    both = [Smoothing(time, age, 3, backend) for backend in ("compiled", "interpreted")]
+    both = [made(backend, Smoothing, time, age, 3) for backend in ("compiled", "interpreted")]
     assert both[0].value is None
     for k in range(20):
         read, rates, h = rng.normal(size=3), rng.normal(size=3), 0.0 if k in (0, 5) else rng.uniform(1e-3, 4e-3)

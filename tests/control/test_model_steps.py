@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from toys import robot
+from toys import made, robot
 from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
@@ -53,7 +53,8 @@ def parts(mpc: MPC, mass: float = 0.0) -> tuple[DisturbanceObserver, PayloadEsti
 def steps_of(mpc: MPC, learning: Learning, backend: Backend, period: float = PERIOD) -> tuple[ModelSteps, SentTorques]:
     """Of drives without a lag."""
     sent = SentTorques(TORQUE, period, DriveSettings())
-    return ModelSteps(ROBOT, mpc.solver, TorqueLimits(ROBOT, TORQUE.size), sent, period, learning, backend), sent
+    limits = TorqueLimits(ROBOT, TORQUE.size)
+    return made(backend, ModelSteps, ROBOT, mpc.solver, limits, sent, period, learning), sent
 
 
 def motion(count: int, seed: int) -> list[tuple[float, np.ndarray, np.ndarray]]:
@@ -157,7 +158,7 @@ def test_a_policy_is_followed_as_by_its_parts(mpc: MPC, backend: Backend) -> Non
     """Truth: the policy's own law, limits and drives, and the solver's integrator, one by one."""
     limits, plan, late = TorqueLimits(ROBOT, TORQUE.size), policy(1), 3
     sent, twin = (SentTorques(TORQUE, PERIOD, DriveSettings(0.02, 0.005)) for _ in range(2))
-    steps = ModelSteps(ROBOT, mpc.solver, limits, sent, PERIOD, Learning(), backend)
+    steps = made(backend, ModelSteps, ROBOT, mpc.solver, limits, sent, PERIOD, Learning())
     for k, (t, x, u) in enumerate(motion(6, 2)):
         sent.send(u), twin.send(u)
         acts = mpc.solver.simulate(x, twin.rows[twin.since(late + twin.dead, 0)], PERIOD)

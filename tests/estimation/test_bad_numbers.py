@@ -18,9 +18,7 @@ from wbmpc.bases.ball.estimator import HISTORY, BallEstimator
 from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise
 from wbmpc.bases.ball.joint_tracker import JointTracker
-from wbmpc.bases.ball.payload import PayloadEstimator
 from wbmpc.bases.ball.push import PushEstimator
-from wbmpc.bases.ball.sensor_faults import EncoderMonitor
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
@@ -76,11 +74,6 @@ def joints() -> tuple[Callable[..., Any], Callable[[], Any]]:
 def rezero() -> tuple[Callable[..., Any], Callable[[], Any]]:
     estimator = BallEstimator(ROBOT, HOME)
     return estimator.update, lambda: estimator.state
-
-
-def payload() -> tuple[Callable[..., Any], Callable[[], Any]]:
-    estimator = PayloadEstimator(ROBOT.base.numeric.tool_weight)
-    return estimator.update, lambda: estimator.mass
 
 
 def scale() -> tuple[Callable[..., Any], Callable[[], Any]]:
@@ -141,10 +134,6 @@ CASES = [
     (rezero, [(0.0, ZERO, ARM, ZERO, UP), (H, ZERO, ARM, ZERO, UP)], (0.1, ZERO, ARM[:2], ZERO, UP), "'arm' needs 3"),
     (rezero, [(0.0, ZERO, ARM, ZERO, UP), (H, ZERO, ARM, ZERO, UP)], (0.1, ZERO, NAN * ARM, ZERO, UP), "arm"),
     (rezero, [(0.0, ZERO, ARM, ZERO, UP), (H, ZERO, ARM, ZERO, UP)], (0.1, ZERO, ARM, NAN * UP, UP), "gyro"),
-    (payload, [(HOME[:8], WEIGHT, H)], (NAN * HOME[:8], WEIGHT, H), "'q'"),
-    (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], NAN * WEIGHT, H), "'force'"),
-    (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], WEIGHT[:7], H), "'force' needs 8"),
-    (payload, [(HOME[:8], WEIGHT, H)], (HOME[:8], WEIGHT, -5.0), "negative"),
     (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (NAN, *WEIGHED[1:]), "'t'"),
     (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, NAN * STILL, *WEIGHED[2:]), "'arm'"),
     (scale, [(0.0, *WEIGHED[1:]), WEIGHED], (0.1, STILL, NAN * STILL, UP, ZERO), "'effort'"),
@@ -273,9 +262,6 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
             lambda: DisturbanceObserver(lambda x, u, h: x, ROBOT.base.numeric.mass_matrix, 8, np.ones(5), hold=-1.0),
             "'hold' must not be negative",
         ),
-        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, rate=-1.0), "'rate' must not be negative"),
-        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, maximum=-3.0), "'maximum' must not be negative"),
-        (lambda: PayloadEstimator(ROBOT.base.numeric.tool_weight, spread=(0.0, 1.0)), "'spread' must be positive"),
         (lambda: DoorNoise(rate=NAN), "door filter's noise: 'rate' must be finite"),
         (lambda: DoorNoise(walk=-1.0), "door filter's noise: 'walk' must not be negative"),
         (lambda: PushEstimator(ROBOT, ARM, NAN), "push estimator: 'expected_push_time' must be finite"),
@@ -283,7 +269,6 @@ def test_a_model_without_an_answer_leaves_the_drift_as_it_was() -> None:
         (lambda: JointTracker([0.0], -1e-5, 1e-3, 7e-4), "joint tracker: 'encoder' must not be negative"),
         (lambda: JointTracker([NAN], 1e-5, 1e-3, 7e-4), "joint tracker: 'angles' needs 1"),
         (lambda: JointTracker([0.0], 1e-5, 1e-3, 7e-4, speed=0.0), "joint tracker: 'speed' needs positive"),
-        (lambda: EncoderMonitor(3, ["elbow"], patience=NAN), "encoder monitor: 'patience' must be finite"),
         (lambda: ContactDetector(on=np.inf), "contact: 'on' must be finite"),
         (lambda: BallGeometry(0.0, np.eye(3), ZERO), "ball filter: 'radius' must be positive"),
         (

@@ -376,5 +376,5 @@ def test_a_motion_that_changes_is_known_less_well(gyro: float, accel: float) -> 
     known = gyro < 1.0 and accel < 90.0
     turning = s.gyro**2 * H + known * (0.05 * H * gyro) ** 2
     push = s.accel**2 * H + known * (0.05 * H * accel) ** 2
-    noise = f._memory.arrays["q"].reshape(23, 23)
+    noise = f.arrays["q"].reshape(23, 23)
     assert np.diag(noise)[:6] == pytest.approx([turning] * 3 + [push] * 3)

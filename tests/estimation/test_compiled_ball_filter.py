@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
+from typing import Any
 
 import numpy as np
 import pytest
 from ball_states import error_between
 
+from toys import made
 from wbmpc import lie
-from wbmpc.bases.ball.filter import BallFilter, FilterMemory, gate_arrays
+from wbmpc.bases.ball.filter import BallFilter
 from wbmpc.bases.ball.filter_solve import solve_robust
 from wbmpc.bases.ball.filter_state import BallGeometry, BallNoise, BallState, rotation_of
 from wbmpc.bases.ball.filter_step import linearize
 from wbmpc.bases.ball.joint_tracker import JointTracker
-from wbmpc.bases.base import InertialDescription
+from wbmpc.kernel.step import Step, bind
 
 H, GRAVITY = 0.0025, np.array([0.0, 0.0, 9.81])
 
@@ -23,10 +26,13 @@ def geometry(rng: np.random.Generator) -> BallGeometry:
     return BallGeometry(0.12, rng.normal(size=(3, 3)), np.array([0.01, -0.02, 0.3]))
 
 
-def memory_of(g: BallGeometry, noise: BallNoise) -> FilterMemory:
-    return FilterMemory(
-        g, noise, gate_arrays(InertialDescription(), GRAVITY), "compiled", still=1e-4, largest_step=1e-2
-    )
+def filter_of(g: BallGeometry, noise: BallNoise) -> BallFilter:
+    return BallFilter(g, np.zeros(2), np.eye(3), noise)
+
+
+def step_of(filter: BallFilter, function: Callable[..., Any]) -> Step:
+    g = filter.geometry
+    return bind(function, filter.arrays, n=len(g.turn), radius=float(g.radius))
 
 
 def rolling(g: BallGeometry, rng: np.random.Generator, count: int):  # type: ignore[no-untyped-def]
@@ -45,7 +51,7 @@ def test_both_back_ends_say_the_same() -> None:
     weighed against each other differ by 1e10, so rounding leaves 1e-7 of each deviation, in states and covariances."""
     rng = np.random.default_rng(0)
     g = geometry(rng)
-    one, other = (BallFilter(g, np.zeros(2), np.eye(3), BallNoise(), backend=b) for b in ("compiled", "interpreted"))
+    one, other = (made(b, BallFilter, g, np.zeros(2), np.eye(3), BallNoise()) for b in ("compiled", "interpreted"))
     seen = set()
     for k, (wheel, gyro, accel) in enumerate(rolling(g, rng, 8)):
         wheel = wheel + [0.05 * (k >= 4), 0.0, 0.0]
@@ -69,7 +75,7 @@ def test_messages_that_jump_are_judged_the_same() -> None:
     """A turn that comes and goes is a jump where it goes against the wheels; one that stays counts."""
     rng = np.random.default_rng(0)
     g = geometry(rng)
-    one, other = (BallFilter(g, np.zeros(2), np.eye(3), BallNoise(), backend=b) for b in ("compiled", "interpreted"))
+    one, other = (made(b, BallFilter, g, np.zeros(2), np.eye(3), BallNoise()) for b in ("compiled", "interpreted"))
     jumps = []
     for k, (wheel, gyro, accel) in enumerate(rolling(g, rng, 9)):
         gyro = gyro + 1.5 * (k == 4 or k > 6)
@@ -107,11 +113,11 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
         *(0.1 * rng.normal(size=(2, 3))), rotation_of(0.3 * rng.normal(size=3)), *(0.01 * rng.normal(size=(3, 3))), 0.02
     )
     wheel, gyro, accel = x.wheel + 0.01, rng.normal(size=3), GRAVITY + rng.normal(size=3)
-    memory = memory_of(g, s)
+    memory = filter_of(g, s)
     memory.state = x
     a = memory.arrays
     a["wheel"][:], a["gyro"][:], a["accel"][:] = wheel, gyro, accel
-    memory.step(linearize)(H, 0.4, 0.0, 0.0)
+    step_of(memory, linearize)(H, 0.4, 0.0, 0.0)
     memory.arrays["x"][:] = a["y"]
     y = memory.state
     memory.state = x
@@ -132,13 +138,13 @@ def test_slopes_are_the_derivatives_of_the_residuals() -> None:
 def test_the_older_state_is_marginalised() -> None:
     """Truth: least squares over both states with the prior, by NumPy's lstsq."""
     rng = np.random.default_rng(4)
-    memory = memory_of(geometry(rng), BallNoise())
+    memory = filter_of(geometry(rng), BallNoise())
     a, m, size = memory.arrays, 23, 19
     jx, jy, r = rng.normal(size=(m, size)), rng.normal(size=(m, size)), rng.normal(size=m)
     q, p = np.diag(rng.uniform(0.5, 2.0, m)), np.diag(rng.uniform(0.5, 2.0, size))
     for name, value in (("jx", jx), ("jy", jy), ("r", r), ("q", q), ("p", p)):
         a[name][:] = value.ravel()
-    choice, cost = memory.step(solve_robust)(np.inf)
+    choice, cost = step_of(memory, solve_robust)(np.inf)
     assert choice == 0
     rows = np.block(
         [[np.diag(np.diag(q) ** -0.5) @ np.hstack([jx, jy])], [np.diag(np.diag(p) ** -0.5), np.zeros((size, size))]]
@@ -152,9 +158,9 @@ def test_the_older_state_is_marginalised() -> None:
 
 
 def test_no_solution_is_said() -> None:
-    memory = memory_of(geometry(np.random.default_rng(0)), BallNoise())
+    memory = filter_of(geometry(np.random.default_rng(0)), BallNoise())
     memory.arrays["p"][:] = np.nan
-    assert memory.step(solve_robust)(1.0)[0] == -1
+    assert step_of(memory, solve_robust)(1.0)[0] == -1
 
 
 def test_a_copy_goes_its_own_way() -> None:
@@ -176,7 +182,7 @@ def test_joints_are_followed_the_same_by_both_back_ends() -> None:
     """Random motions with jumps that are undone, arms that are flung and a gap; what counted is the same to the bit."""
     rng = np.random.default_rng(6)
     speed, angle = np.array([2.0, np.inf, 0.5]), rng.normal(size=3)
-    one, other = (JointTracker(angle, 1e-5, 1e-3, 7e-4, speed=speed, backend=b) for b in ("compiled", "interpreted"))
+    one, other = (made(b, JointTracker, angle, 1e-5, 1e-3, 7e-4, speed=speed) for b in ("compiled", "interpreted"))
     jumps = 0
     for k in range(80):
         angle = angle + 0.003 * rng.normal(size=3) + 0.3 * (rng.random(3) < 0.02)

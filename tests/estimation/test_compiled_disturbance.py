@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from toys import made
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
 
 N, GATE = 7, np.array([0.06, 0.06, 0.25, 0.12, 0.12])
@@ -21,7 +22,7 @@ def test_both_back_ends_say_the_same(seed: int) -> None:
     root = rng.normal(size=(N, N))
     mass = root @ root.T
     both = [
-        DisturbanceObserver(model, lambda q: mass, N, GATE, hold=0.05, longest=0.1, settled=0.1, backend=b)
+        made(b, DisturbanceObserver, model, lambda q: mass, N, GATE, hold=0.05, longest=0.1, settled=0.1)
         for b in ("compiled", "interpreted")
     ]
     x, t, seen = rng.normal(size=2 * N), 0.0, set()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from wheels_on_paper import fit_twist, ring
 
+from toys import made
 from wbmpc import lie
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.odometry_filter import OdometryNoise
@@ -22,7 +23,7 @@ FOUR = ring(4)
 def test_both_back_ends_say_the_same(modules: int, seed: int) -> None:
     """Random messages, with and without gyro and weights, a gap, a hinge that opens and a global pose; 1e-12 of each deviation."""
     rng, n = np.random.default_rng(seed), modules
-    both = [FusedOdometry(ring(n), pose_std=(0.01, 0.01, 0.01), backend=b) for b in ("compiled", "interpreted")]
+    both = [made(b, FusedOdometry, ring(n), pose_std=(0.01, 0.01, 0.01)) for b in ("compiled", "interpreted")]
     leg, steer, wheel, t = np.zeros(n), rng.normal(size=n), rng.normal(size=n), 0.0
     for k in range(30):
         t += 0.3 if k == 12 else rng.uniform(1e-3, 2e-2)
@@ -47,7 +48,7 @@ def test_both_back_ends_say_the_same(modules: int, seed: int) -> None:
 def test_one_step_is_that_of_the_textbook(gyro: bool, seed: int) -> None:
     """Truth: A P Aᵀ + Q and the gain of correlated noise, by matrices of NumPy, with a derivative by differences."""
     rng, noise = np.random.default_rng(seed), OdometryNoise()
-    memory = OdometryMemory(FOUR, np.full(4, FOUR.wheel_radius), noise, "compiled")
+    memory = OdometryMemory(FOUR, np.full(4, FOUR.wheel_radius), noise)
     a, size, h, turn = memory.arrays, WHEELS + 8, 0.01, 0.02
     root = rng.normal(size=(size, size))
     p, q = root @ root.T, np.diag(rng.uniform(0.1, 1.0, 3))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from toys import made
 from wbmpc.bases.swerve.slipping_wheels import CONTRADICTS, HOLD, OVER, SlippingWheels
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.kernel.step import Backend
@@ -18,7 +19,7 @@ GEOMETRY = load_robot("swerve-ur10").base.geometry
 def test_what_wheels_contradict(backend: Backend, gyro: bool) -> None:
     rng, h = np.random.default_rng(3), 0.0025
     wheels = WheelOdometry(GEOMETRY)
-    slipping = SlippingWheels(GEOMETRY, wheels, backend)
+    slipping = made(backend, SlippingWheels, GEOMETRY, wheels)
     leg, steer, wheel = np.zeros(4), np.zeros(4), np.zeros(4)
     contradiction, velocity, found = np.zeros((4, 2)), np.zeros((4, 2)), 0
     for k in range(60):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from toys import made
 from wbmpc.bases.ball.filter import forget, gate_arrays
 from wbmpc.bases.ball.inertial_gate_step import FAULTS, Gate, judge
 from wbmpc.bases.base import InertialDescription
@@ -16,7 +17,7 @@ UNIT, REST, H = InertialDescription(), np.array([0.0, 0.0, 9.81]), 0.0025
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_what_is_said_of_messages(backend: Backend) -> None:
     arrays, good = gate_arrays(UNIT, REST), np.array([0.1, 0.0, -0.1, 0.2, 0.0, 9.8])
-    step = bind(judge, arrays, backend)
+    step = made(backend, bind, judge, arrays)
 
     def said(message: np.ndarray) -> tuple[str, bool]:
         arrays["message"][:] = message

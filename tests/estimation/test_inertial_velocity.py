@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from effort import draws
+from toys import made
 from wbmpc.bases.swerve.drives import ArmDrives, DriveModel
 from wbmpc.bases.swerve.estimator import EstimatorSettings, SwerveEstimator
 from wbmpc.bases.swerve.inertial_velocity import ACCELERATION_ZEROS, ANNOUNCED, FOLLOW, NEAR, InertialVelocity
@@ -76,7 +77,7 @@ def test_sound_wheels_count_in_full(inertial_unit: bool) -> None:
 def test_the_step(backend: Backend) -> None:
     """Truth: NumPy's algebra for a gyro without tilts."""
     rng, seen, mount = np.random.default_rng(5), np.zeros(8), np.array([0.2, -0.1, 0.3])
-    found = InertialVelocity(seen, mount, backend)
+    found = made(backend, InertialVelocity, seen, mount)
     v, average, zero = np.zeros(2), np.zeros(2), np.zeros(2)
     for _ in range(50):
         seen[:], accel, rate = 0.05 * rng.normal(size=8), rng.normal(size=2), float(rng.normal())

@@ -7,7 +7,7 @@ import pytest
 
 from toys import robot
 from wbmpc.bases.ball.payload import PayloadEstimator
-from wbmpc.kernel.step import Backend
+from wbmpc.kernel.step import Backend, made_as
 
 ROBOT = robot("rezero")
 N, H = ROBOT.base.nq, 0.0025
@@ -19,10 +19,14 @@ class Arm:
     """An estimator of the mass that a robot holds which a ``force`` (nq) besides that mass's weight moves; nobody else learns."""
 
     def __init__(self, mass: float = 0.0, backend: Backend = "compiled") -> None:
-        self.estimator = PayloadEstimator(ROBOT.base.numeric.tool_weight, mass=mass, backend=backend)
-        self.velocity = np.zeros(N)
+        self.estimator = PayloadEstimator(ROBOT.base.numeric.tool_weight, mass)
+        self.velocity, self._backend = np.zeros(N), backend
         names = ("velocity", "after", "innovation", "force")
         self.observed = {name: np.zeros(N) for name in names} | {"mass": INERTIA.ravel().copy()}
+
+    def observe(self, learning: float) -> None:
+        with made_as(self._backend):  # the step is made with the first observation
+            self.estimator.observe(HOME, self.observed, learning, H)
 
     def move(self, force: np.ndarray, seconds: float, learning: float = 1.0) -> float:
         """The mass after that."""
@@ -31,7 +35,7 @@ class Arm:
             for name in ("velocity", "after"):  # the model says that nothing accelerates
                 self.observed[name][:] = self.velocity
             self.observed["force"][:] = 0.0
-            self.estimator.observe(HOME, self.observed, learning, H)
+            self.observe(learning)
             self.velocity = self.velocity + H * np.linalg.solve(INERTIA, unexplained)
         return self.estimator.mass
 
@@ -66,7 +70,7 @@ def test_both_back_ends_weigh_alike() -> None:
             arm.velocity += H * np.linalg.solve(INERTIA, force - arm.estimator.mass * WEIGHT)
             arm.observed["velocity"][:] = arm.velocity + speed
             arm.observed["after"][:], arm.observed["force"][:] = arm.velocity, 0.3 * force
-            arm.estimator.observe(HOME, arm.observed, 0.8, H)
+            arm.observe(0.8)
         one, other = (np.append(arm.observed["force"], arm.estimator.mass) for arm in arms)
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
     assert arms[0].estimator.mass > 0.0

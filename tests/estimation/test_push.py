@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from toys import robot
+from toys import made, robot
 from wbmpc.bases.ball.balance import Balance
 from wbmpc.bases.ball.push import DEAD, SMOOTH, PushEstimator
 from wbmpc.robots import load_spec
@@ -71,7 +71,7 @@ def test_what_is_no_push_leaves_the_limit_as_it_is() -> None:
 
 def test_machine_code_finds_what_the_same_source_does_as_python() -> None:
     rng = np.random.default_rng(2)
-    one, other = (PushEstimator(ROBOT, HOME, 0.2, backend) for backend in ("compiled", "interpreted"))
+    one, other = (made(backend, PushEstimator, ROBOT, HOME, 0.2) for backend in ("compiled", "interpreted"))
     for _ in range(20):
         x, u = ROBOT.home + 0.1 * rng.normal(size=ROBOT.home.size), rng.normal(size=6)
         for push in (one, other):

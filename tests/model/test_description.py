@@ -158,7 +158,7 @@ def test_unknown_robots_and_missing_files() -> None:
     [
         ({"orientation": "euler"}, ("base.orientation", "yaw", "quaternion")),
         ({"orientatoin": "yaw"}, ("base.orientatoin", "did you mean 'base.orientation'")),
-        ({"contact": "force"}, ("base.contact", "inputs of a swerve base are speeds", "no effect on its motion")),
+        ({"contact": "force"}, ("base.contact", "inputs of this base are speeds", "no effect on its motion")),
         ({"contact_frame": "tool0"}, ("base.contact_frame", "no effect")),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
-from wbmpc.bases.swerve.ros import references_of
+from wbmpc.bases.common.ros import references_of
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.goals import LEASH, STEP, EndEffectorTrack, Planner, Task, Track, base_track, end_effector_track
@@ -52,7 +52,7 @@ def test_the_twists_move_the_poses() -> None:
     for twist, h in zip(task.base.twists, np.diff(task.base.times)):
         pose = lie.se2_step(pose, twist * h)
     np.testing.assert_allclose(pose, task.base.poses[-1], atol=1e-9)
-    references = references_of(task, ROBOT, at())
+    references = references_of(task, ROBOT)
     assert references["state"].values.shape[1] == ROBOT.state.size
     np.testing.assert_array_equal(references["input"].values[:, ROBOT.input["base"]], task.base.twists)
 

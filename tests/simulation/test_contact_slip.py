@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from toys import made
 from wbmpc import load_robot
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
@@ -65,7 +66,7 @@ def test_of_several_contacts_of_a_wheel_the_deepest_counts(backend: Backend) -> 
         "frame": frames, "slip": np.ones((2, 2)),
     }  # fmt: skip
     flat = {name: values.ravel() for name, values in given.items()}  # (views)
-    bind(contact_slips, flat, backend, n=2)(3)
+    made(backend, bind, contact_slips, flat, n=2)(3)
     point = given["cvel"][1, 3:] + np.cross(given["cvel"][1, :3], given["at"][1] - given["subtree_com"][1])
     along = np.cross(given["xmat"][1][:, 1], frames[1, 0])
     along /= np.linalg.norm(along)

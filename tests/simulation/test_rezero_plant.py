@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from toys import made
 from wbmpc import lie
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant, body_rates
@@ -58,7 +59,7 @@ def test_states_survive_the_way_to_mujoco_and_back(yaw, pitch, roll, rates):
     q, v = np.array([1.0, 2.0, 0.125, *quaternion, 0.3, 0.4, 0.5]), np.array([0.1, -0.2, 0.0, *omega, 3.0, 2.0, 1.0])
     for backend in ("compiled", "interpreted"):
         a = {"q": q, "v": v, "state": np.zeros(16), "arm_q": np.array([9, 8, 7]), "arm_v": np.array([8, 7, 6])}
-        bind(minimal_state, a, backend, m=3)()
+        made(backend, bind, minimal_state, a, m=3)()
         expected = [1.0, 2.0, yaw, pitch, roll, 0.5, 0.4, 0.3, 0.1, -0.2, *rates, 1, 2, 3]
         assert a["state"] == pytest.approx(expected, abs=1e-9)
 

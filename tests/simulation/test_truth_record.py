@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from toys import robot
+from toys import made, robot
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.truth_record import TruthRecord
 from wbmpc.kernel.step import Backend
@@ -26,7 +26,7 @@ def turned(quaternion: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 def test_a_row_is_what_mujoco_says_and_what_follows_from_the_estimate(backend: Backend) -> None:
     plant, log, rng = BallPlant(ROBOT.description), Log(), np.random.default_rng(5)
-    record = TruthRecord(log, plant, {"more": 2, "one": None}, True, backend)
+    record = made(backend, TruthRecord, log, plant, {"more": 2, "one": None}, True)
     d, m, states, estimates = plant.data, plant.model, [], []
     for k in range(40):
         # yaw past half turns: it goes on counting

@@ -13,8 +13,8 @@ import numpy as np
 from wbmpc.clearance.compilation import compiled
 from wbmpc.kernel.ir import Floats, Integers
 
-#: Slopes below this show no direction; normals within this cosine of each other are one side; what is beyond the grid's bounds.
-FLAT, SAME, BEYOND = 0.1, 0.5, 1e30
+#: Slopes below this show no direction; normals within this cosine of each other are one side.
+FLAT, SAME = 0.1, 0.5
 #: By how many cells a value may be more than one at a corner of the same cell: values change by two per cell at most.
 DROP = 3.5
 

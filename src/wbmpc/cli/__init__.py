@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import sys
 import traceback
@@ -18,7 +17,7 @@ import typer
 
 from wbmpc import __version__
 from wbmpc.cli.calibration import calibrate
-from wbmpc.cli.directories import RECORD_LIMIT, RecordLimit, run_directory
+from wbmpc.cli.directories import RECORD_LIMIT, AsJson, RecordLimit, run_directory
 from wbmpc.cli.doctor import doctor
 from wbmpc.cli.exporting import export
 from wbmpc.cli.new import new
@@ -48,8 +47,6 @@ from wbmpc.interrupts import act_on_waiting, ended_by_signal, interrupted, termi
 
 if TYPE_CHECKING:
     from wbmpc.experiment import Experiment
-
-_LOG = logging.getLogger("wbmpc")
 
 app = typer.Typer(
     name="wbmpc", pretty_exceptions_enable=False,
@@ -135,7 +132,7 @@ def _rearranged(arguments: list[str]) -> list[str]:
 @app.command("list")
 def list_experiments(
     context: typer.Context,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List the experiments and the robots."""
     from wbmpc.robots import available_robots
@@ -181,7 +178,7 @@ def run(
     out: Annotated[
         Path | None, typer.Option(help="Directory for the files (default: a fresh runs/NAME-seedN).")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
     show: Annotated[bool, typer.Option("--view", help="Show the run in a browser, in real time.")] = False,
     host: Host = LOCAL,
     port: Port = 8080,
@@ -205,7 +202,7 @@ def run(
 def demo(
     context: typer.Context,
     seed: Annotated[int, typer.Option(help="Seed of the plants and of all noise.")] = 200,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run both main experiments and print one table."""
     from wbmpc.registry import demonstrated
@@ -223,7 +220,7 @@ def demo(
 @app.command()
 def bench(
     context: typer.Context,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
     out: Annotated[Path | None, typer.Option(help="Directory for race.json and race.txt.")] = None,
     repeat: Annotated[int, typer.Option(min=1, help="Timed iterations per problem.")] = 200,
 ) -> None:

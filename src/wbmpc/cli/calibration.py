@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.cli.directories import Force, new_file
+from wbmpc.cli.directories import AsJson, Force, new_file
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def calibrate(
         ),
     ] = 2e-3,
     force: Force = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Find steer zeros and wheel radii of a base on steered wheels from a recorded run with global poses; and the zeros of its arm,
     where the run has a tracked end effector.

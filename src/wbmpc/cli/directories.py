@@ -20,6 +20,7 @@ import typer
 from wbmpc.errors import InputError
 from wbmpc.output_file import is_named_pipe
 
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there already.")]
 
 #: Bytes of a run's recording, with a unit.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wbmpc.cli.recordings import AsJson
+from wbmpc.cli.directories import AsJson
 from wbmpc.cli.terminal import BAD_INPUT, robot_names
 from wbmpc.errors import InputError, printable
 

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from wbmpc.cli.directories import Force, reject_existing, writable_directory
-from wbmpc.cli.recordings import AsJson
+from wbmpc.cli.directories import AsJson, Force, reject_existing, writable_directory
 from wbmpc.cli.terminal import ABORTED
 from wbmpc.errors import printable
 

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.cli.directories import Force, new_file
+from wbmpc.cli.directories import AsJson, Force, new_file
 from wbmpc.cli.doctor import Arguments, Packages, pairs
-from wbmpc.cli.recordings import AsJson
 from wbmpc.errors import InputError, printable
 
 if TYPE_CHECKING:

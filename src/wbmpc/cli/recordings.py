@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.cli.directories import Force, new_directory, new_file, reject_existing, writable_directory
+from wbmpc.cli.directories import AsJson, Force, new_directory, new_file, reject_existing, writable_directory
 from wbmpc.errors import printable
 from wbmpc.output_file import write_text
 
@@ -22,7 +22,6 @@ File = Annotated[Path, typer.Argument(help="The recording (run.mcap), or the dir
 Topics = Annotated[list[str] | None, typer.Argument(help="Topics (default: all that fit).")]
 #: Lines about settings, at most, that are printed.
 MAX_SETTINGS = 20
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
 @log.callback(invoke_without_command=True)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from wbmpc.cli.directories import resumed_directory
+from wbmpc.cli.directories import AsJson, resumed_directory
 from wbmpc.cli.terminal import INTERRUPTED, experiment_names, progress_bar
 
 
@@ -25,7 +25,7 @@ def reproduce(
     ),
     workers: Annotated[int, typer.Option(min=0, help="Runs at a time (0: as many as there are cores).")] = 0,
     clips: Annotated[bool, typer.Option("--clips/--no-clips", help="Draw a clip of each experiment.")] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Run the experiments over seeds and write one site: figures compared with the papers', clips, a page for every run.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from wbmpc.cli.directories import AsJson
 from wbmpc.cli.terminal import ABORTED
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ SimTime = Annotated[bool, typer.Option("--use-sim-time", help="Take the time fro
 Lockstep = Annotated[
     bool, typer.Option("--lockstep", help="For both nodes: the simulation waits for each command, in simulated time.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else, when it has ended.")]
+AsJsonAtEnd = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else, when it has ended.")]
 #: So long [s] a check listens at most: a day. What sleeps for ever does not answer.
 LONGEST_LOOK = 86_400.0
 Fifo = Annotated[bool, typer.Option("--fifo", help="Run with real-time priority (SCHED_FIFO; needs the permission).")]
@@ -81,7 +82,7 @@ def _before_all_others(priority: int) -> None:
 @ros2.command("control")
 def ros2_control(
     context: typer.Context, robot: Robot, config: Config = None, backend: BackEnd = "auto",
-    use_sim_time: SimTime = False, lockstep: Lockstep = False, fifo: Fifo = False, as_json: AsJson = False,
+    use_sim_time: SimTime = False, lockstep: Lockstep = False, fifo: Fifo = False, as_json: AsJsonAtEnd = False,
 ) -> None:  # fmt: skip
     """Run the controller as a node; it waits for joint states and a goal."""
     node, model, settings = _on_bus(context, robot, config, backend, "", use_sim_time, lockstep, 10 * fifo)
@@ -111,7 +112,7 @@ def ros2_sim(
     use_sim_time: SimTime = False,
     lockstep: Lockstep = False,
     fifo: Fifo = False,
-    as_json: AsJson = False,
+    as_json: AsJsonAtEnd = False,
 ) -> None:
     """Simulate the robot as a node: joint states, inertial unit, clock; takes the controllers' commands. Status 1 if the robot falls."""
     verbose = not context.obj.quiet
@@ -143,7 +144,7 @@ def ros2_check(
     backend: BackEnd = "auto",
     use_sim_time: SimTime = False,
     seconds: Annotated[float, typer.Option(min=0.5, max=LONGEST_LOOK, help="How long it listens.")] = 3.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List what is missing, mistyped, too slow or wrong on a robot's bus. Sends nothing; status 1 if there is an error."""
     node, model, settings = _on_bus(context, robot, config, backend, "_check", use_sim_time)

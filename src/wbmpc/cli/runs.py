@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wbmpc.cli.directories import Force, new_file
+from wbmpc.cli.directories import AsJson, Force, new_file
 from wbmpc.cli.terminal import console
 from wbmpc.cli.terminal import table as plain_table
 from wbmpc.errors import printable
@@ -23,7 +23,7 @@ def runs(
     directory: Annotated[Path, typer.Argument(help="Directory to search, with its subdirectories.")] = Path("runs"),
     page: Annotated[Path | None, typer.Option(help="Write a page that sorts and filters the runs.")] = None,
     force: Force = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List runs and studies, the newest first: experiment, seed, outcome, how many metrics reach their goals."""
     from wbmpc.output_file import write_text

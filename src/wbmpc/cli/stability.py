@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from wbmpc.cli.directories import Force, new_file
+from wbmpc.cli.directories import AsJson, Force, new_file
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
 
@@ -35,7 +35,7 @@ def stability(
     ] = 0.0,
     plot: Annotated[Path | None, typer.Option(help="Write a drawing from above (SVG).")] = None,
     force: Force = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Support polygon, support triangles and zero-moment point of a robot at rest."""
     from wbmpc.model.robot import load_robot

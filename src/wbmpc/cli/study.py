@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wbmpc import plugins
-from wbmpc.cli.directories import resumed_directory
+from wbmpc.cli.directories import AsJson, resumed_directory
 from wbmpc.cli.terminal import INTERRUPTED, console, printable, progress_bar, table
 from wbmpc.errors import InputError, unknown_name
 
@@ -52,7 +52,6 @@ Workers = Annotated[
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler whose workers do the runs, as tcp://host:8786.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 
 
 @contextmanager

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wbmpc.cli.directories import RECORD_LIMIT, Force, RecordLimit, new_file, run_directory, size_of
-from wbmpc.cli.recordings import AsJson
+from wbmpc.cli.directories import RECORD_LIMIT, AsJson, Force, RecordLimit, new_file, run_directory, size_of
 from wbmpc.cli.terminal import ABORTED, robot_names
 from wbmpc.errors import InputError
 from wbmpc.view.access import Access, is_loopback

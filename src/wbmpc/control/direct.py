@@ -34,6 +34,11 @@ class InputCommand:
     rest: Array
 
 
+def lag_share(period: float, lag: float) -> float:
+    """Share of the way to a command that a drive of first order goes in a period [s]; 1 without a ``lag`` [s]."""
+    return float(1.0 - np.exp(-period / lag)) if lag > 0.0 else 1.0
+
+
 class DirectController:
     """Measured states go to the MPC, predicted over its delay, and the policy's inputs to the drives.
 
@@ -51,7 +56,7 @@ class DirectController:
         self.robot, self.mpc, self.period, self.lag, self.feedback = robot, mpc, period, lag, feedback
         size = mpc.dynamics.input.size
         self._step = np.full(size, np.inf) if rate is None else rate * period
-        self._blend = 1.0 - np.exp(-period / lag) if lag > 0.0 else 1.0
+        self._blend = lag_share(period, lag)
         self.sent, self._rates = np.zeros((2, size))
         self.measured: StateMeasurement | None = None
         self.monitors: list[Monitor[StateMeasurement]] = []

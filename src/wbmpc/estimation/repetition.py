@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from wbmpc.arrays import Array
+
 #: A gyro that says more than this [rad/s] turns, whatever its bias; one that has said less for so long [s] rests.
 TURNS, RESTS = 0.2, 5.0
 #: Messages farther apart than this [s] are a gap in time, and no repetition.

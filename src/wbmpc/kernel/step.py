@@ -7,7 +7,9 @@ To add one: write the step as a function of translated Python (:mod:`wbmpc.kerne
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from copy import deepcopy
 from functools import partial
 from itertools import pairwise
@@ -21,9 +23,21 @@ from wbmpc.kernel.ir import BOOL, INT, INTS, NONE, NUM, NUMS
 from wbmpc.kernel.library import Function
 
 Backend = Literal["compiled", "interpreted"]
+_BACKEND: ContextVar[Backend] = ContextVar("backend", default="compiled")
 #: Numbers, whole numbers and truth values as ``struct`` packs them into eight bytes.
 _WORDS = {NUM: "d", INT: "q", BOOL: "?7x"}
 Memory = Mapping[str, NDArray[Any]]
+
+
+@contextmanager
+def made_as(backend: Backend) -> Iterator[None]:
+    """Steps that are made meanwhile run as machine code, or their source as ordinary Python ("interpreted"): with a debugger, or to
+    compare the two. Those of an object are made with it, or when it is first used."""
+    token = _BACKEND.set(backend)
+    try:
+        yield
+    finally:
+        _BACKEND.reset(token)
 
 
 class Step:
@@ -32,14 +46,15 @@ class Step:
     where there are several.
 
     Arrays are contiguous, of float64 or int64, and do not overlap; they stay where they are, so callers write into them. A call does
-    not allocate, look anything up, or let go of the interpreter. ``backend``: machine code, or the same source as ordinary Python.
+    not allocate, look anything up, or let go of the interpreter. ``backend``: left out: see :func:`made_as`.
     Compiles, or loads from the cache, when it is made. Raises :class:`KernelError` for arrays that cannot be used and for names
     that are no arguments.
     """
 
     def __init__(
-        self, function: Callable[..., Any], memory: Memory, backend: Backend = "compiled", **constants: int | float
+        self, function: Callable[..., Any], memory: Memory, backend: Backend | None = None, **constants: int | float
     ) -> None:
+        backend = backend or _BACKEND.get()
         if backend not in ("compiled", "interpreted"):
             raise unknown_name("backend", backend, ("compiled", "interpreted"))
         if not isinstance(function, Function) or not function.stepped:
@@ -127,10 +142,10 @@ class Step:
         return Step(self._function, deepcopy(self._memory, memo), self._backend, **self._constants)
 
 
-def bind(function: Callable[..., Any], arrays: Memory, backend: Backend = "compiled", **constants: int | float) -> Step:
+def bind(function: Callable[..., Any], arrays: Memory, **constants: int | float) -> Step:
     """A :class:`Step` on those of the ``arrays`` that the function has arguments for: several steps share one dictionary."""
     names = function.argument_names if isinstance(function, Function) else ()
-    return Step(function, {name: arrays[name] for name in names if name in arrays}, backend, **constants)
+    return Step(function, {name: arrays[name] for name in names if name in arrays}, None, **constants)
 
 
 def zeros(record: Callable[..., Any], n: int) -> dict[str, NDArray[np.float64]]:

@@ -12,13 +12,13 @@ from itertools import pairwise
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.optional import mounting
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import nearest_angle, planar, upright
 from wbmpc.ros2.settings import Goals, Speeds
 
-Array = np.ndarray
 #: Between two samples of a reference [s]; how far the end effector goes before the base comes along [m].
 STEP, LEASH = 0.02, 0.3
 #: A way has no more samples than this, however long it takes: they are farther apart then.
@@ -342,7 +342,7 @@ def _profile(shortest: float) -> tuple[Array, Array]:
         return np.zeros(1), np.ones(1)
     duration = 0.5 * np.pi * shortest
     count = int(np.ceil(min(duration / STEP, _MAX_SAMPLES)))
-    numbers = np.arange(count + 1)
+    numbers = np.arange(count + 1.0)
     return max(STEP, duration / count) * numbers, 0.5 * (1.0 - np.cos(np.pi * numbers / count))
 
 

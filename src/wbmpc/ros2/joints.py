@@ -54,6 +54,18 @@ class JointSample:
     series: Series = FIRST
 
 
+@dataclass(frozen=True)
+class OnBus:
+    """What a measurement of a base on wheels has on a bus besides. ``turning`` [rad/s]: mean yaw rate since the measurement before, None where
+    the gyro does not cover that time; ``origin`` [s]: where on the bus's clock the zero of the runner's is; ``series`` of the encoders;
+    ``stamp`` [s] of the message."""
+
+    turning: float | None = None
+    origin: float = 0.0
+    series: Series = FIRST
+    stamp: float = 0.0
+
+
 class JointReader:
     """JointState messages to samples; what is wrong with a message is an :class:`InputError`.
 

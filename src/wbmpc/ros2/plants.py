@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases import base_type
+from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import check_numbers, seconds, upright
-from wbmpc.ros2.settings import drive_groups
+from wbmpc.ros2.settings import drive_groups, joint_groups
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.types import SimulatedRobot, Truth
 
@@ -49,7 +50,7 @@ class ActiveTrajectory:
         return columns(self.positions), columns(self.velocities) * (0.0 if over else 1.0)
 
 
-class RosPlant(ABC):
+class RosPlant:
     """A simulated robot's side of the bus; each base type has its own, see :meth:`wbmpc.bases.base.BaseType.ros_plant`.
 
     ``held``: it falls without commands; ``lift`` [m] of the model's origin above the floor; ``imu_at`` (3) [m] in the base;
@@ -58,6 +59,8 @@ class RosPlant(ABC):
     """
 
     imu_at = np.zeros(3)
+    #: what the plant takes, of one array for each group of drives
+    Command: ClassVar[Callable[..., Any]]
 
     def __init__(self, robot: RobotModel, plant: SimulatedRobot) -> None:
         self.robot, self.plant = robot, plant
@@ -69,13 +72,19 @@ class RosPlant(ABC):
         """Commands by group that keep the robot at rest, brakes closed."""
         return {g: np.zeros(len(names)) for g, names in drive_groups(self.robot).items()}
 
-    @abstractmethod
     def command(self, groups: dict[str, Array]) -> Any:
         """The plant's command of what each group gets."""
+        return type(self).Command(**groups)
 
-    @abstractmethod
     def read(self) -> Reading:
-        """What the sensors say; kept as ``last``."""
+        """What the sensors say, by measurements that have groups of joints by their names; kept as ``last``. A base that takes speeds counts
+        its way as wheels do."""
+        m, way = self.plant.measure(), None
+        joints = {g: getattr(m, g) for g in joint_groups(self.robot)}
+        if self.robot.description.base.takes_twist:
+            way, joints[WHEELS] = joints[WHEELS], np.zeros(0)
+        self.last = Reading(joints, m.gyro, m.accel, getattr(m, "age", 0.0), way)
+        return self.last
 
     def base(self, truth: Truth) -> tuple[Array, Array]:
         """True position (3) [m] above the floor and quaternion (4) of the base's frame."""

@@ -115,36 +115,26 @@ class Report:
     @classmethod
     def of(cls, state: str, seconds: float, own: Board, board: Board, punctuality: Punctuality) -> Report:
         """From what the control thread (``own``) and the MPC's side (``board``) have written down up to now."""
-        count = lambda name: int(own[name])
-        spread = lambda name: Spread.of(own.samples(name))
+        # misses before the total that they are of, which goes on meanwhile: else more deadlines may be missed than there were
+        mpc = {n: int(board[n]) for n in ("misses", "skipped", "failures", "repeated", "updates")}
+        ticks = {n: int(own[n]) for n in ("misses", "skipped", "clamped", "ticks", "late", "policies")}
+        spreads = {n: Spread.of(own.samples(n)) for n in ("latency", "ready", "jitter", "tick", "sent")}
         return cls(
             state=state,
             seconds=seconds,
-            # what is counted of a total before it, which goes on meanwhile: else more deadlines may be missed than there were
-            mpc_misses=int(board["misses"]),
-            mpc_skipped=int(board["skipped"]),
-            failures=int(board["failures"]),
-            repeated=int(board["repeated"]),
-            updates=int(board["updates"]),
+            mpc_misses=mpc.pop("misses"),
+            mpc_skipped=mpc.pop("skipped"),
             solve=Spread.of(board.samples("solve_time")),
             update=Spread.of(board.samples("update_time")),
-            misses=count("misses"),
-            skipped=count("skipped"),
-            clamped=count("clamped"),
-            ticks=count("ticks"),
-            late=count("late"),
-            policies=count("policies"),
             limit_violations=int(board["limit_violations"]),
             worst_limit_violation=board["worst_limit_violation"],
             worst_limit_violation_message=board.note,
             initial_state_mismatches=int(board["initial_state_mismatches"]),
             worst_initial_state_mismatch=board["worst_initial_state_mismatch"],
-            latency=spread("latency"),
-            ready=spread("ready"),
-            jitter=spread("jitter"),
-            tick=spread("tick"),
-            sent=spread("sent"),
             late_commands=dict(punctuality.because),
+            **mpc,
+            **ticks,
+            **spreads,
         )
 
     def __str__(self) -> str:

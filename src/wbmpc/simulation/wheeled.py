@@ -8,7 +8,8 @@ softness is that of tires.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -19,7 +20,7 @@ from wbmpc.simulation.arm import ArmPlant, span
 from wbmpc.simulation.contacts import FLOOR
 from wbmpc.simulation.payloads import add_body_payload, incline
 from wbmpc.simulation.perturbation import WheeledPerturbation
-from wbmpc.simulation.world import Array, add_floor, add_light, free_body, set_options
+from wbmpc.simulation.world import Array, add_drive, add_floor, add_light, free_body, set_options
 from wbmpc.types import Edit
 
 #: Contact softness of the tires (time constant [s], damping ratio): the odometry's scale, radius less half the sink.
@@ -58,6 +59,8 @@ def let_tires_slide(spec: mujoco.MjSpec, tires: list[str]) -> None:
 class WheeledPlant(ArmPlant):
     """Subclasses also set ``base`` (its ``body``); their wheels are a group of joints."""
 
+    #: what :meth:`measure` gives: a time [s], positions by group, and keys
+    Measurement: ClassVar[Callable[..., Any]]
     base: Any
     perturbation: WheeledPerturbation
 
@@ -71,6 +74,21 @@ class WheeledPlant(ArmPlant):
         free_body(spec, self.base.body, self.description.source).add_freejoint(name="root")
         add_light(spec.body(self.base.body))
         return friction
+
+    def drive_joint(self, spec: mujoco.MjSpec, name: str, effort: float, lag: float) -> None:
+        """The servo of a wheel's or a steering joint with a ``lag`` [s], up to ``effort`` [N m] where the robot's file has no limit."""
+        joint = spec.joint(name)
+        joint.armature, joint.frictionloss = 0.03, self.perturbation.dry_friction
+        effort = self.description.limits.effort.get(name, effort)
+        add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, lag, WHEEL_GAIN)
+
+    @staticmethod
+    def add_load_sensor(spec: mujoco.MjSpec, wheel: str, kind: mujoco.mjtObj, name: str) -> None:
+        """What a ``wheel`` carries: net force of all that touches a body, or a geom, in world axes (data: force; reduction 3: net force)."""
+        spec.add_sensor(
+            name=f"contact_{wheel}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=kind, objname=name,
+            intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1],
+        )  # fmt: skip
 
     def finish(self, spec: mujoco.MjSpec, edit: Edit | None) -> None:
         """Also the inertial unit, and what the perturbation adds to the body and the floor."""
@@ -116,6 +134,21 @@ class WheeledPlant(ArmPlant):
         return self.perturbation.arm_counts if group == "arm" else self.perturbation.encoder_counts
 
     # ------------------------------------------------------------------ running
+    def measure(self) -> Any:
+        """Encoder positions (quantized, with their zero errors, up to the jitter old; all joints of a message share one age), the inertial
+        unit, and torques of the arm's drives. Asking twice at the same time gives the same message."""
+        if self._last is None or self._last.time != self.time:
+            self.world.refresh()
+            read, imu = self.quantized(self.encoders()), self.inertial()
+            positions = {group: read[part] for group, part in self._parts.items()}
+            more = self.observed()
+            self._last = self.Measurement(self.time, **positions, **imu, **more, effort=self.efforts())
+        return self._last
+
+    def observed(self) -> dict[str, Any]:
+        """What else a message has, by name."""
+        return {}
+
     def efforts(self) -> Array:
         """Torques (m) [N m or N] of the arm's drives in the last physics step as they report them, with what is fed forward to each joint
         and to those that follow it."""

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability.configurations import leg_angles, leg_group, reject_beyond
 from wbmpc.stability.geometry import Region, area, overlap_regions, region_margin, support_polygon
 from wbmpc.stability.robot import Stance, StanceOf, standing
 from wbmpc.stability.zmp import GRAVITY
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

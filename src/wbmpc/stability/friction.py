@@ -8,12 +8,12 @@ what τ carries, and 1/μ is made as large as it can be.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.stability.geometry import checked_feet, margin, support_polygon
 from wbmpc.stability.zmp import Load, zero_moment_point
 
-Array = NDArray[np.float64]
 #: Corners of the polygon inside the friction circle: the coefficient is never too small, and too large by 0.12 % at most.
 CORNERS = 64
 #: Part of the weight below which a load along the ground is rounding.

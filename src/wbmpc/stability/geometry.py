@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 Triangle = tuple[int, int, int]
 
 #: Twice the area [m²] below which three feet stand on one line; distance [m] at which a point is on a line, by rounding.

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import ModuleGeometry
@@ -16,7 +16,6 @@ from wbmpc.stability.geometry import area, cross, support_polygon
 from wbmpc.stability.geometry import margin as margin_to
 from wbmpc.stability.robot import StanceOf, standing
 
-Array = NDArray[np.float64]
 #: Positions of a leg that are tried; stances from which the search begins; how often it goes round all legs at most.
 PLACES, STARTS, ROUNDS = 25, 5, 12
 #: Legs keep so many wheel radii from each other: wheels turn freely beside each other.

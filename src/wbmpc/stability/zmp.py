@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wbmpc import constants
+from wbmpc.arrays import Array
 from wbmpc.checks import finite
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: Gravity [m/s²] on level ground.
 GRAVITY = (0.0, 0.0, -constants.GRAVITY)
 _NOTHING = (0.0, 0.0, 0.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.model.robot import RobotModel
 
-Array = np.ndarray
 #: Poses along a path that are looked at; how near [m] the end effector has to come; what a rotation counts [m/rad].
 POSES, THERE, LEVER = 40, 1e-3, 0.2
 #: The same of arms of fewer joints than a pose has numbers: they go where they shall and turn as they can.

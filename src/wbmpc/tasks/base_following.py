@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.route import base_part
@@ -15,7 +16,6 @@ from wbmpc.ocp import Cost, Reference
 from wbmpc.tasks.path_settings import SAMPLED
 from wbmpc.tasks.paths import rise
 
-Array = np.ndarray
 #: How long [s] a change of speed takes.
 RAMP = 1.0
 #: For how long [s], and the base's speeds ahead [m/s], to the left [m/s] and about the vertical [rad/s].

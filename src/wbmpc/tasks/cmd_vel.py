@@ -18,7 +18,6 @@ from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.settings import TaskSettings
 
-Array = np.ndarray
 #: Speeds [m/s or rad/s] of an order; times [s] of all orders together, at most.
 Speed = Annotated[float, Field(ge=-10, le=10)]
 LONGEST = 3600.0

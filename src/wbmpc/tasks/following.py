@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from wbmpc.arrays import Array
 from wbmpc.configuration import OneOf
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -21,7 +22,6 @@ from wbmpc.tasks.path_settings import AnyPath, Line, carried_base, duration, fol
 from wbmpc.tasks.paths import nearest_distance
 from wbmpc.tasks.settings import TaskSettings
 
-Array = np.ndarray
 _LOG = logging.getLogger(__name__)
 #: The end of a path is reached within this [m]; points of a path that errors are measured to; of a table of the base beside it.
 THERE, DENSE, TABLE = 0.01, 4001, 501

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from wbmpc.arrays import Array
 from wbmpc.clearance.rows import SelfRows
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
@@ -23,7 +24,6 @@ from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.settings import TaskSettings
 
-Array = np.ndarray
 #: Postures that are drawn for a goal until one keeps the pairs of ``collision.self.pairs`` apart.
 DRAWS = 1000
 Way = Annotated[float, Field(ge=0, le=1000)]
@@ -77,7 +77,7 @@ def build(settings: GoalsSettings, seed: int) -> Scenario:
     """One run: a goal is reached if the error, by the estimate, is within the tolerance for the last half second of its time."""
     robot, mpc = settings.prepare()
     goals = robot.poses(random_states(robot, settings, seed))
-    times = settings.settle_time + settings.time_per_goal * np.arange(settings.count)
+    times = settings.settle_time + settings.time_per_goal * np.arange(float(settings.count))
     waiting = list(zip(times, goals, strict=True))
 
     def tick(t: float) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.base import System
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -15,7 +16,6 @@ from wbmpc.simulation.scene import joint_units
 from wbmpc.types import Truth
 from wbmpc.units import by_unit, force_unit, rate_unit, with_unit
 
-Array = np.ndarray
 #: Units that plots are read in, and how many of them the model's are.
 _READ = {"m": (1e3, "mm"), "rad": (np.degrees(1.0), "°"), "rad/s": (np.degrees(1.0), "°/s")}
 

@@ -29,17 +29,15 @@ from wbmpc.simulation.arm import ArmPlant
 from wbmpc.simulation.lockstep import LONGEST_RUN
 from wbmpc.simulation.model_plant import ModelPlant
 from wbmpc.simulation.obstacles import SimulatedObstacles, load_scene
+from wbmpc.tasks.estimates import estimate_watches
 from wbmpc.tasks.figures import general_metrics, general_plots
-from wbmpc.tasks.floor_friction import FloorFrictionWatch
 from wbmpc.tasks.joint_figures import JointRecord
-from wbmpc.tasks.payload import PayloadWatch
 from wbmpc.tasks.perception import Perception, PerceptionSettings
 from wbmpc.tasks.reference_drive import arm_zeros, calibration
 from wbmpc.tasks.scene import SceneWatch, believed
 from wbmpc.tasks.settings import KinematicPlant, SimulationSettings
 from wbmpc.types import Edit, Timing, Truth
 
-Array = np.ndarray
 #: Rates of the controller without physics [Hz], of which the first counts that the MPC's rate is a whole part of; interval of what is
 #: recorded [s].
 MODEL_RATES, RECORDED = (200.0, 400.0), 0.01
@@ -120,8 +118,8 @@ def closed_loop(
     watch = SceneWatch(around, system, log, since, robot, pace, perceive, others, reshaping) if around else None
     over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
 
-    estimates = PayloadWatch.of(settings, robot, system, log), FloorFrictionWatch.of(settings, robot, system, log)
-    watches: list[Any] = [w for w in (watch, *estimates) if w]
+    estimates = estimate_watches(settings, robot, system, log)
+    watches: list[Any] = [*([watch] if watch else []), *estimates]
 
     def record(t: float, command: Any, plans: Any) -> None:
         over.now = t

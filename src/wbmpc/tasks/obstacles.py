@@ -11,10 +11,10 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.configuration import OneOf
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
@@ -31,7 +31,6 @@ from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
 from wbmpc.tasks.perception import PerceptionSettings
 
-Array = NDArray[np.float64]
 #: A person: radius and height [m].
 PERSON = (0.2, 1.8)
 #: People are seen from so far [m] and for so long [s] before they cross the robot's path: who walks slowly does not appear right beside a

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.checks import parse_number
 from wbmpc.configuration import OneOf
 from wbmpc.errors import InputError
@@ -22,7 +23,6 @@ from wbmpc.settings import ReadBy, Settings
 from wbmpc.tasks.arm_reach import reached_share
 from wbmpc.tasks.paths import rise, risen
 
-Array = np.ndarray
 #: Length [m] of a path where nothing says it: of a robot whose base moves, and (times its reach) of one that stands, the first of these
 #: that the arm can follow with a margin.
 LENGTH, SHARES, MARGIN = 5.0, tuple(0.5 * 0.85**k for k in range(12)), 1.1

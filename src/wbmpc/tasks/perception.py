@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.base import System
 from wbmpc.log import Log
 from wbmpc.mapping import LocalMap
@@ -18,7 +18,6 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Settings
 from wbmpc.simulation.range_sensors import RangeSensor, Scan, camera_rays, lidar_rays
 
-Array = NDArray[np.float64]
 #: How far [m] a LIDAR is above the highest part of a robot at home.
 MAST = 0.15
 _Place = Annotated[float, Field(ge=-100, le=100)]

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases import base_type, offers
 from wbmpc.bases.base import Calibration
 from wbmpc.errors import RunAborted
@@ -22,7 +23,6 @@ from wbmpc.simulation.settings import LidarSettings
 from wbmpc.simulation.tracked_arm import TRACKER, track_arm
 from wbmpc.tasks.base_following import RAMP, Order, base_path, lead_base, ordered_twist
 
-Array = np.ndarray
 #: Strokes: straight [m] and turns [rad], speeds [m/s, rad/s] and their share of the base's limits at most; standing between them [s].
 STRAIGHT, TURN, SPEED, RATE, SHARE, STANDING = 4.0, np.pi, 0.4, 0.5, 0.5, 2.0
 #: Messages between two that are recorded; postures at which the end effector is tracked.

@@ -11,9 +11,9 @@ from collections import deque
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from wbmpc.arrays import Array
 from wbmpc.clearance.lattice import plan_route
 from wbmpc.errors import InputError, NoRoute
 from wbmpc.experiment import Experiment, Scenario
@@ -32,7 +32,6 @@ from wbmpc.tasks.scene import GOAL
 from wbmpc.tasks.settings import TaskSettings
 from wbmpc.types import Truth
 
-Array = NDArray[np.float64]
 #: Half the thickness [m] of walls, their height [m].
 THICK, HIGH = 0.05, 1.5
 #: The room reaches so far [m] behind the start and beyond the goal; nothing else stands nearer to these [m].

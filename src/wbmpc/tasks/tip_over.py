@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from wbmpc.arrays import Array
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
@@ -22,7 +24,6 @@ from wbmpc.tasks.path_settings import Line, follow, timed
 from wbmpc.tasks.settings import MujocoPlant, TaskSettings
 from wbmpc.types import Truth
 
-Array = np.ndarray
 #: Of postures of which the one with the farthest reach is taken; which share of a joint's range they use.
 POSTURES, SHARE = 20_000, 0.95
 #: A wheel that carries less [N] has lifted; a base that is slower [m/s] for so long [s] stands.
@@ -111,7 +112,7 @@ class LoadWatch:
         return [Plot("Wheel loads", "time [s]", "force [N]", [Series(n, t, loads[:, i]) for i, n in enumerate(names)])]
 
 
-def longest(times: Array, lifted: Array) -> float:
+def longest(times: Array, lifted: NDArray[np.bool_]) -> float:
     """Longest time [s] for which one column of ``lifted`` (n, wheels) is true without a break."""
     found, since = 0.0, np.full(lifted.shape[1], np.nan)
     step = float(np.diff(times).mean()) if len(times) > 1 else 0.0

@@ -7,10 +7,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.default_problem import default_problem, default_settings, keep_clear, make_mpc, stay_at_home
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
@@ -27,7 +27,6 @@ from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Sine, follow, timed
 from wbmpc.tasks.settings import SimulationSettings, TaskMpcSettings, scale_weights
 
-Array = NDArray[np.float64]
 #: How soft the grasp is: speeds of one end effector against the other are as good as zero, and no plan is infeasible.
 SOFTNESS = 1e-6
 IDEALIZATION = "what is held has no mass and does not bend: the grasp error is by how much it would have to yield"

@@ -31,7 +31,7 @@ from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.checks import finite, not_negative, numbers, positive_time, scales
 from wbmpc.errors import InputError
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 
 #: The share of the gate from which on a steady innovation counts: no push needs to be distinguished from it, only noise.
 STEADY = 0.35
@@ -144,7 +144,7 @@ def observe(d: Disturbance, g: Gate, t: float, h: float) -> float:
 @dataclass
 class DisturbanceObserver:
     """``step(x, u, h)``: the model's state after h seconds; ``mass(q)``: M. Units: SI. ``gate`` (1 to ``size``): largest innovations of the
-    first speeds that are none of a push. ``backend``: machine code, or the same source as ordinary Python."""
+    first speeds that are none of a push."""
 
     step: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
     mass: Callable[[np.ndarray], np.ndarray]
@@ -156,7 +156,6 @@ class DisturbanceObserver:
     longest: float = 0.5
     settled: float = 1.0
     calm: tuple[float, float] = (0.5, 0.2)  # m/s², rad/s
-    backend: Backend = "compiled"
 
     def __post_init__(self) -> None:
         """Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be; ``gate`` and ``calm`` may be infinite."""
@@ -177,7 +176,7 @@ class DisturbanceObserver:
             "gate": np.array(self.gate, float), "clock": np.array([-np.inf, -np.inf, np.inf, -np.inf]),
             "settings": np.array([self.speed_gain, self.force_gain, self.hold, self.longest, self.settled, *self.calm], float),
         }  # fmt: skip
-        self._observe = bind(observe, self._arrays, self.backend, size=n, gates=gates)
+        self._observe = bind(observe, self._arrays, size=n, gates=gates)
         self._state = np.zeros(2 * n)
         self.started = False  # whether there has been a state
         self.learning = 1.0  # how much of a constant disturbance the last update can have learned

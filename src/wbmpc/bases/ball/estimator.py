@@ -94,7 +94,7 @@ class BallEstimator:
             return self.state
         then = min(self._places, key=lambda place: abs(place[0] - time))[1]
         wrong = pose - then
-        wrong[2] = np.remainder(wrong[2] + np.pi, 2.0 * np.pi) - np.pi
+        wrong[2] = lie.wrapped(wrong[2])
         previous = self.state[:3].copy()
         self.filter.correct_pose(wrong, covariance)
         state = self.state

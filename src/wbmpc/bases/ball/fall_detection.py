@@ -12,14 +12,16 @@ from numpy.typing import ArrayLike
 
 from wbmpc.bases.ball.balance import Balance, load_offset
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.checks import not_negative, numbers, positive
-from wbmpc.errors import FallPredicted, InputError
+from wbmpc.checks import not_negative, numbers
+from wbmpc.errors import FallPredicted
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 
 #: So many planned states are evaluated in one call.
 PLANNED = 16
+#: So many plans in a row that lean too far, and so long [s] of a state that does, are a fall.
+PLANS, SECONDS = 8, 0.05
 
 
 @dataclass(frozen=True)
@@ -43,28 +45,22 @@ class FallPredictor:
     """Monitors every new plan of a ball robot's MPC, and its state: returns a :class:`Fall` when falling is certain.
 
     The lean is a hard limit of the problem, relaxed only where it cannot be held. A plan in which its divergent component goes
-    beyond the wheels' reach (times ``share``) within its first ``ahead`` [s] says that the optimizer, with all torques that there
-    are, has found no other way; ``plans`` such plans in a row are needed, for one solve may be far from converged. What a plan
+    beyond the wheels' reach within its first ``ahead`` [s] says that the optimizer, with all torques that there
+    are, has found no other way; :data:`PLANS` such plans in a row are needed, for one solve may be far from converged. What a plan
     says later is worth little while a push lasts: a lean grows tenfold in half a second, and robots whose plans were lost there
-    for 0.2 s have stood. A state that has been beyond it for ``seconds`` is lost whatever is planned: a ball that slides on the
+    for 0.2 s have stood. A state that has been beyond it for :data:`SECONDS` is lost whatever is planned: a ball that slides on the
     floor does not do what plans say. A force on the end effector moves the lean from which the component counts; plans of a robot whose
     input it is say how large it is to be. A disturbance that has been learned moves it too (``shift``: see
     :class:`wbmpc.bases.ball.lean_control.LeanControl`). Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
 
-    def __init__(
-        self, robot: RobotModel, arm: np.ndarray, share: float = 1.0, plans: int = 8, seconds: float = 0.05,
-        ahead: float = 0.1,
-    ) -> None:  # fmt: skip
-        positive("forecast of a fall", share=share)
-        not_negative("forecast of a fall", seconds=seconds, ahead=ahead)
-        if not isinstance(plans, int | np.integer) or plans < 1:
-            raise InputError(f"forecast of a fall: 'plans' must be a whole number, at least 1, got {plans}")
+    def __init__(self, robot: RobotModel, arm: np.ndarray, ahead: float = 0.1) -> None:
+        not_negative("forecast of a fall", ahead=ahead)
         balance = Balance.of(robot, numbers("forecast of a fall", "arm", arm, len(robot.state.groups["arm"])))
         has_force = "force" in robot.input
         self._force = robot.input["force"] if has_force else None
-        self.reach, self._plans, self._bad = share * float(balance.reach.max()), plans, 0
-        self._seconds, self._within, self._ahead = seconds, -np.inf, ahead
+        self.reach, self._bad = float(balance.reach.max()), 0
+        self._within, self._ahead = -np.inf, ahead
         n, x = ball_base(robot).nq, ca.SX.sym("x", robot.state.size)
         w = ca.SX.zeros(robot.parameters.size)
         mass, end_effector = ca.SX.sym("mass"), ca.SX.sym("push", 2)
@@ -89,8 +85,8 @@ class FallPredictor:
         force = np.zeros((soon, 2)) if self._force is None else policy.u[:soon, self._force][:, :2]
         maximum = self._maximum(policy.x[1 : soon + 1], payload, force, shift)
         self._bad = self._bad + 1 if maximum > self.reach else 0
-        if self._bad >= self._plans:
-            return [self._fall(float(policy.times[0]), f"{self._plans} plans in a row lean", maximum)]
+        if self._bad >= PLANS:
+            return [self._fall(float(policy.times[0]), f"{PLANS} plans in a row lean", maximum)]
         return []
 
     def update(
@@ -109,8 +105,8 @@ class FallPredictor:
         """As :meth:`update`, of a divergent component that is ``maximum`` [m] long."""
         if maximum <= self.reach or not math.isfinite(self._within):
             self._within = t
-        if t - self._within >= self._seconds:
-            return [self._fall(t, f"for {1e3 * self._seconds:.0f} ms it has leant", maximum)]
+        if t - self._within >= SECONDS:
+            return [self._fall(t, f"for {1e3 * SECONDS:.0f} ms it has leant", maximum)]
         return []
 
     def _maximum(self, states: np.ndarray, payload: float, force: np.ndarray, shift: Sequence[float]) -> float:

@@ -5,14 +5,17 @@ between two consecutive states; the older one is marginalised. Here the residual
 of the ball without slip, wheel encoders, and the floor's height. docs/explanation/ball-robot.md has the equations.
 
 Gates of estimators: how large a weighed square of errors may be. (SciPy has it, and takes as long to import as a robot to load.)
+
+A gap in time of the ball filter: what the wheels say about it, and how little is known afterwards.
+
+Three wheels that do not slip turn with the ball relative to the base: two parts of that are the ball's way over the floor, the
+third is the base's turning about the vertical, if the base leans as little as a robot that stands. See docs/explanation/ball-robot.md for the
+same relation in the filter's rolling rows.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from copy import deepcopy
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,78 +25,54 @@ from wbmpc.arrays import Array
 from wbmpc.bases.ball.filter_solve import process
 from wbmpc.bases.ball.filter_state import A, BallGeometry, BallNoise, BallState, P, V, skew
 from wbmpc.bases.ball.filter_step import Noise, State
-from wbmpc.bases.ball.gap import GAP, GAP_LEAN, bridged, spreads
 from wbmpc.bases.ball.inertial_gate_step import FAULTS, Gate
 from wbmpc.bases.base import InertialDescription
 from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.constants import GRAVITY
 from wbmpc.errors import InputError, NotFinite
-from wbmpc.kernel.step import Backend, Step, bind
+from wbmpc.kernel.step import bind
+
+#: An interval longer than this [s] is a gap: what the inertial unit said at its end says nothing of the time before.
+GAP = 0.1
+#: After a gap: standard deviation by this share of the way and of the turn, and by so much in a second [m/s, rad/s] besides; of the
+#: lean [rad]; of the velocity beside its mean over the gap [m/s].
+GAP_SHARE, GAP_SPEED, GAP_TURN = 0.2, 0.05, 0.1
+GAP_LEAN, GAP_VELOCITY = 0.1, 0.5
 
 
-class FilterMemory:
-    """``arrays``: everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`, and a ``gate`` of the inertial unit
-    (:func:`gate_arrays`). ``constants``: of :func:`wbmpc.bases.ball.filter_solve.process`, which is
-    ``process(h, torque, bound)``. The older state is the filter's."""
-
-    def __init__(
-        self, geometry: BallGeometry, noise: BallNoise, gate: dict[str, Array], backend: Backend, **constants: float
-    ) -> None:
-        self._made_of, self._constants = (geometry, noise, gate, backend), constants
-        n = len(geometry.turn)
-        size, m, state = 16 + n, 17 + 2 * n, State.WHEEL + n
-        sizes = {"x": state, "y": state, "z": state, "gyro": 3, "accel": 3}
-        sizes |= {"wheel": n, "read": n, "way": n, "gone": n, "stalled": n, "spin": n, "plain": n * n, "slip": 3 * n}
-        sizes |= {"rate": 3, "turn": 3, "turned": 9, "half": 9, "middle": 9, "after": 9, "shift": 3, "pushed": 3}
-        sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size}
-        sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size, "root": m * m}
-        sizes |= {"error": size, "covariance": size * size, "best_error": size, "best_covariance": size * size}
-        self.arrays = (
-            {name: np.zeros(length) for name, length in sizes.items()}
-            | deepcopy(gate)
-            | {
-                "mount": np.array(geometry.mount, float),
-                "wheels": np.array(geometry.turn, float).flatten(),
-                "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
-            }
-        )
-        self.process = self.step(process, **constants)
-
-    def step(self, function: Callable[..., Any], **constants: float) -> Step:
-        """A step of the filter on these arrays."""
-        geometry, _, _, backend = self._made_of
-        return bind(function, self.arrays, backend, n=len(geometry.turn), radius=float(geometry.radius), **constants)
-
-    def __deepcopy__(self, memo: dict[int, object]) -> FilterMemory:
-        """Steps of the copy work on its own arrays, and so do those of others on these."""
-        geometry, noise, gate, backend = self._made_of
-        made = FilterMemory(geometry, noise, gate, backend, **self._constants)
-        for name, array in self.arrays.items():
-            made.arrays[name][:] = array
-            memo[id(array)] = made.arrays[name]
-        return made
-
-    @property
-    def state(self) -> BallState:
-        """The older state, a copy."""
-        return _state_of(self.arrays["x"].copy())
-
-    @state.setter
-    def state(self, state: BallState) -> None:
-        x = self.arrays["x"]
-        x[State.POSITION : State.VELOCITY], x[State.VELOCITY : State.ROTATION] = state.position, state.velocity
-        x[State.ROTATION : State.GYRO_BIAS] = state.rotation.ravel()
-        x[State.GYRO_BIAS : State.ACCEL_BIAS], x[State.ACCEL_BIAS : State.SCALE] = state.gyro_bias, state.accel_bias
-        x[State.SCALE], x[State.WHEEL :] = state.scale, state.wheel
+def bridged(turn: Array, radius: float, rotation: Array, wheel: Array) -> tuple[Array, float]:
+    """Way (3) [m] of the ball and turn [rad] of an upright base about the vertical, for wheels that turned by ``wheel`` (n) [rad];
+    ``turn`` (n, 3): wheel speeds over the ball's rate relative to the base, ``rotation`` of the base before."""
+    rolled = np.linalg.lstsq(turn, wheel, rcond=None)[0]
+    yaw = -float(rolled[2])
+    heading = lie.rotation_to_euler_zyx(rotation)[0] + 0.5 * yaw
+    c, s = np.cos(heading), np.sin(heading)
+    about = np.array([c * rolled[0] - s * rolled[1], s * rolled[0] + c * rolled[1]])
+    return radius * np.array([about[1], -about[0], 0.0]), yaw
 
 
-def _state_of(z: Array) -> BallState:
-    return BallState(
-        z[State.POSITION : State.VELOCITY], z[State.VELOCITY : State.ROTATION],
-        z[State.ROTATION : State.GYRO_BIAS].reshape(3, 3), z[State.GYRO_BIAS : State.ACCEL_BIAS],
-        z[State.ACCEL_BIAS : State.SCALE], z[State.WHEEL :], float(z[State.SCALE]),
-    )  # fmt: skip
+def spreads(h: float, shift: Array, yaw: float) -> tuple[float, float, float]:
+    """Standard deviations after a gap of ``h`` [s]: position [m], yaw [rad], velocity [m/s]."""
+    way = float(np.linalg.norm(shift))
+    return GAP_SHARE * way + GAP_SPEED * h, GAP_SHARE * abs(yaw) + GAP_TURN * h, GAP_VELOCITY + way / h
+
+
+def filter_arrays(geometry: BallGeometry, noise: BallNoise) -> dict[str, Array]:
+    """Everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`."""
+    n = len(geometry.turn)
+    size, m, state = 16 + n, 17 + 2 * n, State.WHEEL + n
+    sizes = {"x": state, "y": state, "z": state, "gyro": 3, "accel": 3}
+    sizes |= {"wheel": n, "read": n, "way": n, "gone": n, "stalled": n, "spin": n, "plain": n * n, "slip": 3 * n}
+    sizes |= {"rate": 3, "turn": 3, "turned": 9, "half": 9, "middle": 9, "after": 9, "shift": 3, "pushed": 3}
+    sizes |= {"p": size * size, "jx": m * size, "jy": m * size, "q": m * m, "r": m, "moved": m * size}
+    sizes |= {"w": m * (size + 1), "a": size * size, "inverse": size * size, "slope": size, "root": m * m}
+    sizes |= {"error": size, "covariance": size * size, "best_error": size, "best_covariance": size * size}
+    return {name: np.zeros(length) for name, length in sizes.items()} | {
+        "mount": np.array(geometry.mount, float),
+        "wheels": np.array(geometry.turn, float).flatten(),
+        "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
+    }
 
 
 #: Share of its range from which on a reading is no measurement.
@@ -151,12 +130,13 @@ class BallFilter:
     ``faults`` of the last update, each a part and what it does: where rolling contradicts the inertial unit beyond :data:`GATE`,
     or an encoder stands while its wheel turns, those rows count for nothing; a message of the inertial ``unit`` that cannot be
     true (``imu exceeds``, ``repeats``, ``jumps``) leaves its rates and forces near those of the last good one.
-    ``backend``: machine code (:func:`wbmpc.bases.ball.filter_solve.process`), or the same source as ordinary Python.
+    ``arrays``: everything by its name in :class:`wbmpc.bases.ball.filter_step.Filter`, for other steps to read, and a ``gate`` of the
+    inertial unit (:func:`gate_arrays`).
     """
 
     def __init__(
         self, geometry: BallGeometry, position: ArrayLike, rotation: ArrayLike, noise: BallNoise,
-        unit: InertialDescription | None = None, backend: Backend = "compiled",
+        unit: InertialDescription | None = None,
     ) -> None:  # fmt: skip
         n = self._n = len(geometry.turn)
         self.geometry, self.noise = geometry, noise
@@ -164,9 +144,10 @@ class BallFilter:
         numbers("ball filter", "rotation", np.ravel(rotation), 9)
         self.freedom, self.surprise = n + 1, 0.0
         gate = gate_arrays(unit or InertialDescription(), np.reshape(rotation, (3, 3)).T @ _REST)
+        self.arrays = filter_arrays(geometry, noise) | gate
         self._gate = chi_square_gate(self.freedom, GATE)
         constants = {"still": STILL * math.sqrt(12.0) * noise.encoder, "largest_step": STALLED}
-        self._memory = FilterMemory(geometry, noise, gate, backend, **constants)
+        self._process = bind(process, self.arrays, n=n, radius=float(geometry.radius), **constants)
         start = BallState(position, np.zeros(3), np.array(rotation, float), wheel=np.zeros(n))
         self.state, s = start, noise
         spread = np.concatenate([
@@ -183,31 +164,35 @@ class BallFilter:
     @property
     def state(self) -> BallState:
         """The last estimate, a copy."""
-        return self._memory.state
+        z = self.arrays["x"].copy()
+        return BallState(
+            z[State.POSITION : State.VELOCITY], z[State.VELOCITY : State.ROTATION],
+            z[State.ROTATION : State.GYRO_BIAS].reshape(3, 3), z[State.GYRO_BIAS : State.ACCEL_BIAS],
+            z[State.ACCEL_BIAS : State.SCALE], z[State.WHEEL :], float(z[State.SCALE]),
+        )  # fmt: skip
 
     @state.setter
     def state(self, state: BallState) -> None:
-        self._memory.state = state
+        x = self.arrays["x"]
+        x[State.POSITION : State.VELOCITY], x[State.VELOCITY : State.ROTATION] = state.position, state.velocity
+        x[State.ROTATION : State.GYRO_BIAS] = state.rotation.ravel()
+        x[State.GYRO_BIAS : State.ACCEL_BIAS], x[State.ACCEL_BIAS : State.SCALE] = state.gyro_bias, state.accel_bias
+        x[State.SCALE], x[State.WHEEL :] = state.scale, state.wheel
 
     @property
     def covariance(self) -> Array:
         """Of its error (16 + n, 16 + n), a copy."""
         size = 16 + self._n
-        return self._memory.arrays["p"].reshape(size, size).copy()
+        return self.arrays["p"].reshape(size, size).copy()
 
     @covariance.setter
     def covariance(self, covariance: Array) -> None:
-        self._memory.arrays["p"][:] = covariance.reshape(-1)
+        self.arrays["p"][:] = covariance.reshape(-1)
 
     @property
     def rate(self) -> Array:
         """Angular velocity (3) [rad/s] of the base, base axes."""
-        return self._memory.arrays["rate"].copy()
-
-    @property
-    def arrays(self) -> dict[str, Array]:
-        """Its arrays by their names in :class:`wbmpc.bases.ball.filter_step.Filter`, for other steps to read."""
-        return self._memory.arrays
+        return self.arrays["rate"].copy()
 
     # ------------------------------------------------------------------ update
     def update(
@@ -215,7 +200,7 @@ class BallFilter:
     ) -> BallState:
         """The state after a message: encoders (n) [rad], and averages of gyro and accelerometer over ``interval`` [s];
         ``turning`` [N m]: torque of the wheels on the ball about the vertical. A message that is not newer than the last one
-        (``interval`` ≤ 0) is ignored. Over a gap (:data:`wbmpc.bases.ball.gap.GAP`) only the wheels count: nothing is
+        (``interval`` ≤ 0) is ignored. Over a gap (:data:`wbmpc.bases.ball.filter.GAP`) only the wheels count: nothing is
         integrated, and position, heading, lean and velocity are known as little as that module states.
 
         Raises :class:`NotFinite` for readings that are not finite, or from which no state follows."""
@@ -223,7 +208,7 @@ class BallFilter:
         return self.state
 
     def process(
-        self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike, turning: float = 0.0
+        self, interval: float, wheel: ArrayLike, gyro: ArrayLike, accel: ArrayLike, turning: float = 0.0,
     ) -> None:  # fmt: skip
         """As :meth:`update`, for who reads the state elsewhere."""
         finite("ball filter", interval=interval, turning=turning)
@@ -236,17 +221,17 @@ class BallFilter:
         if interval > GAP:
             self._bridge(interval, w)
             return
-        a = self._memory.arrays
+        a = self.arrays
         a["wheel"][:], a["message"][:3], a["message"][3:] = w, gyro, accel
         self._turning += (1.0 - math.exp(-interval / self.noise.lasting)) * (turning - self._turning)
         stalled = a["stalled"].tolist()
-        choice, fault, self.surprise = self._memory.process(interval, self._turning, self._gate)
+        choice, fault, self.surprise = self._process(interval, self._turning, self._gate)
         if choice < 0:
             raise NotFinite(f"ball filter: no state follows from wheels {w}, gyro {gyro} and accel {accel}")
         self.faults = self._named(choice, fault, stalled) if choice or fault or any(stalled) else ()
 
     def _start(self, wheel: Array) -> None:
-        arrays, covariance = self._memory.arrays, self.covariance
+        arrays, covariance = self.arrays, self.covariance
         arrays["x"][State.WHEEL :], arrays["read"][:] = wheel, wheel
         covariance[16:, 16:] = np.eye(self._n) * self.noise.encoder**2
         self.covariance, self._first = covariance, False
@@ -270,9 +255,9 @@ class BallFilter:
         p[A, A] = GAP_LEAN**2 * np.eye(3) + (heading + turning**2 - GAP_LEAN**2) * np.outer(up, up)
         p[16:, 16:] = self.noise.encoder**2 * np.eye(self._n)
         self.covariance = p
-        forget(self._memory.arrays["gate"])
+        forget(self.arrays["gate"])
         self._turning, self.faults = 0.0, ()
-        self._memory.arrays["read"][:], self._memory.arrays["way"][:] = wheel, 0.0
+        self.arrays["read"][:], self.arrays["way"][:] = wheel, 0.0
 
     def _named(self, choice: int, fault: int, stalled: list[float]) -> tuple[str, ...]:
         """What is wrong with the inertial unit's message, which encoders stand, and what slips in an explanation

@@ -105,12 +105,6 @@ def skew(a: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Cross product of two vectors (np.cross is slow for single ones)."""
-    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-
-
 def rotation_of(vector: Array) -> Array:
     """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
     angle = float(np.sqrt(vector @ vector))

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.bases.ball.compilation import step
-from wbmpc.bases.ball.gap import GAP
-from wbmpc.checks import not_negative, numbers, positive, positive_time, scales
+from wbmpc.bases.ball.filter import GAP
+from wbmpc.checks import not_negative, numbers, positive_time, scales
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind, zeros
+from wbmpc.kernel.step import bind, zeros
 
 #: A joint's reading jumps if it is farther from the last one that counted, and from where the joint was going, than this often
 #: its speed limit allows, and this [rad] more: an arm that is flung by a hit moves faster than its drives can (0.27 rad from one
@@ -22,6 +22,8 @@ SPEED_FACTOR, SPEED_REST = 4.0, 0.2
 FLUNG = 0.03
 #: Rates are in doubt after a reading this far [rad] from the expected one, and farther by what its age may err by [s].
 SURPRISE, LATE = 1e-3, 2e-3
+#: Density of unknown accelerations [rad/s²/√Hz].
+ACCELERATION = 3.0
 
 
 class Joints(NamedTuple):
@@ -44,13 +46,12 @@ class Joints(NamedTuple):
     encoder: float  # deviation of a reading [rad]
     age: float  # mean age of readings [s]
     jitter: float  # deviation of the age [s]
-    acceleration: float  # density of unknown accelerations [rad/s²/√Hz]
 
 
 @step
 def track(j: Joints, h: float, first: bool) -> bool:
     """The readings ``given`` come ``h`` [s] after the message before; ``first``: there was none. Whether one of them does not count."""
-    density, any_jumps = j.acceleration**2, False
+    density, any_jumps = ACCELERATION**2, False
     for i in range(j.n):
         a = j.aa[i] + 2.0 * h * j.ar[i] + h * h * j.rr[i] + density * h * h * h / 3.0
         b, c = j.ar[i] + h * j.rr[i] + density * h * h / 2.0, j.rr[i] + density * h
@@ -85,7 +86,7 @@ FASTER = 2.0
 
 class JointTracker:
     """Angles (n) [rad] and rates (n) [rad/s] of joints from encoders alone: a Kalman filter of each joint, whose
-    acceleration is white noise of density ``acceleration`` [rad/s²/√Hz]. Readings are ``age`` ± ``jitter`` [s] old.
+    acceleration is white noise of density :data:`ACCELERATION`. Readings are ``age`` ± ``jitter`` [s] old.
 
     ``reading`` (n): the last ones that counted; a joint ``jumped`` (n) if its own did not: beyond what joints with a limit of their
     ``speed`` (n) [rad/s] can do in the time since, or with the jump before it: nearer to that than to where the joint was. So a
@@ -94,20 +95,19 @@ class JointTracker:
     their rates are in doubt. ``size``: n; ``arrays``: everything by its name above."""
 
     def __init__(
-        self, angles: ArrayLike, encoder: float, age: float, jitter: float, acceleration: float = 3.0,
-        speed: ArrayLike = np.inf, backend: Backend = "compiled",
+        self, angles: ArrayLike, encoder: float, age: float, jitter: float,
+        speed: ArrayLike = np.inf,
     ) -> None:  # fmt: skip
         who = "joint tracker"
         not_negative(who, encoder=encoder, age=age, jitter=jitter)
-        positive(who, acceleration=acceleration)
         start = numbers(who, "angles", angles, np.size(angles))
         n = self.size = start.size
         a = self.arrays = zeros(Joints, n)
         a["speed"] = np.array(np.broadcast_to(scales(who, "speed", speed), n), float)
         a["angle"][:], a["raw"][:], a["aa"][:], a["rr"][:] = start, start, 1e-2, 1e-2
         self._first, self.any_jumped = True, False
-        constants = {"encoder": encoder, "age": age, "jitter": jitter, "acceleration": acceleration}
-        self._track = bind(track, a, backend, n=n, **constants)
+        constants = {"encoder": encoder, "age": age, "jitter": jitter}
+        self._track = bind(track, a, n=n, **constants)
 
     @property
     def angle(self) -> Array:

@@ -18,7 +18,7 @@ from wbmpc.checks import not_negative, numbers, positive
 from wbmpc.control.monitor import SimpleFault
 from wbmpc.errors import DisturbanceTooLarge
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.lie import cos_sin
 from wbmpc.model.robot import RobotModel
 
@@ -71,9 +71,7 @@ class LeanControl:
     component; ``speed`` [m/s]: a ball that goes faster than this under a strong force that lasts ends the run.
     """
 
-    def __init__(
-        self, robot: RobotModel, arm: ArrayLike, share: float, speed: float, backend: Backend = "compiled"
-    ) -> None:
+    def __init__(self, robot: RobotModel, arm: ArrayLike, share: float, speed: float) -> None:
         not_negative("lean_control", share=share)
         positive("lean_control", speed=speed)
         arm = numbers("lean_control", "arm", arm, len(robot.state.groups["arm"]))
@@ -88,7 +86,7 @@ class LeanControl:
             "leans": np.zeros(6),
         }
         self._room, self._force = max(MAXIMUM - share, 0.0) * self.reach, np.zeros(BASE)
-        self._lean_offsets = bind(lean_offsets, self.arrays | {"force": self._force}, backend)
+        self._lean_offsets = bind(lean_offsets, self.arrays | {"force": self._force})
         self._ball_speed = slice(ball_base(robot).nq, ball_base(robot).nq + 2)
         self.reset()
 

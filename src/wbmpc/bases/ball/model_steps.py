@@ -23,7 +23,7 @@ from wbmpc.constants import GRAVITY
 from wbmpc.errors import UnsupportedOperation
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
-from wbmpc.kernel.step import Backend, Step, bind
+from wbmpc.kernel.step import Step, bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 from wbmpc.solver import Solver
@@ -140,7 +140,7 @@ def through(model: Model, nx: int, nu: int, rows: Floats, first: int, count: int
 
 @MODEL.compiled
 def follow(
-    plan: Plan, drives: Torques, x: Floats, feedforward: Floats, rows: Floats, row: int, blend: float, t: float
+    plan: Plan, drives: Torques, x: Floats, feedforward: Floats, rows: Floats, row: int, blend: float, t: float,
 ) -> bool:  # fmt: skip
     """Torques of the ``plan`` at time t [s] in the state x, within limits, and what drives with a lag make of them, in a ``row`` after the
     one before; ``blend``: how much of the way they go. False where they are not finite; nothing is changed but room then."""
@@ -169,7 +169,7 @@ def act(
 
 @MODEL.step
 def foresee(
-    plan: Plan, drives: Torques, model: Model, feedforward: Floats, rows: Floats, blend: float, t: float, h: float
+    plan: Plan, drives: Torques, model: Model, feedforward: Floats, rows: Floats, blend: float, t: float, h: float,
 ) -> bool:  # fmt: skip
     """:func:`follow` in the first two ``rows``, and what the model makes of the state ``trial`` in h [s]."""
     if not follow(plan, drives, model.trial, feedforward, rows, 1, blend, t):
@@ -192,7 +192,7 @@ class Learning(NamedTuple):
 
 class ModelSteps:
     """The model of a ``robot`` as a ``solver`` integrates it, for controllers whose model is that alone: under torques within ``limits``, which
-    drives follow as ``sent`` has it every ``period`` [s]. ``backend``: machine code, or the same source as ordinary Python.
+    drives follow as ``sent`` has it every ``period`` [s].
 
     Its arrays are the solver's and those of the parts of ``learning``: it changes them as these do by themselves. Nothing is found where
     something is not finite, or has other sizes: who asks part by part gets the error.
@@ -200,7 +200,6 @@ class ModelSteps:
 
     def __init__(
         self, robot: RobotModel, solver: Solver, limits: TorqueLimits, sent: SentTorques, period: float, learning: Learning,
-        backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         self._solver, self._sent, self._period, self._observer = solver, sent, period, learning.observer
         n, nx, nu = solver.ocp.intervals, solver.problem.nx, solver.problem.nu
@@ -212,18 +211,18 @@ class ModelSteps:
         a["rows"] = sent.rows.reshape(-1)
         self._arrays, self._next, sizes = a, np.zeros(2 * nu), {"nx": nx, "nu": nu}
         law = {**sizes, "r": 0, "moves": 0, "blend": sent.blend, **limits.constants}
-        self._through = bind(through, a, backend, **sizes)
-        self._act = bind(act, a, backend, **law)
-        self._foresee = bind(foresee, a | {"rows": self._next}, backend, **law)
+        self._through = bind(through, a, **sizes)
+        self._act = bind(act, a, **law)
+        self._foresee = bind(foresee, a | {"rows": self._next}, **law)
         if learning.observer is not None:
-            self._learn = self._bind_learning(robot, learning.observer, *learning[1:], backend=backend)
+            self._learn = self._bind_learning(robot, learning.observer, *learning[1:])
 
     def _bind_learning(
         self, robot: RobotModel, observer: DisturbanceObserver, payload: PayloadEstimator | None, lean: LeanControl | None,
-        fall_predictor: FallPredictor | None, backend: Backend,
+        fall_predictor: FallPredictor | None,
     ) -> Step:  # fmt: skip
         n = observer.size
-        names = ("weight", "model", "believed", "apart", "load", "rule", "shift", "whole", "heading", "leans")
+        names = ("weight", "model", "believed", "apart", "load", "shift", "whole", "heading", "leans")
         a: dict[str, NDArray[Any]] = {name: np.zeros(max(n, 6)) for name in names} | observer.arrays
         a |= {"inertial": np.zeros(n * n + n), "given": np.zeros(2 * n + 3), "found": np.zeros(2)}
         a["places"] = np.zeros(2, np.int64)
@@ -243,7 +242,7 @@ class ModelSteps:
         constants["component"] = 0 if fall_predictor is None else fall_predictor.component.address
         places = _places(self._solver)
         self._push, self._lean = places.pop("push"), lean
-        return bind(learn, self._arrays | a, backend, **constants, **places)
+        return bind(learn, self._arrays | a, **constants, **places)
 
     @classmethod
     def of(

@@ -3,7 +3,7 @@
 One that comes into it, or leaves it, at once is detected by the arm within a tenth of a second: the acceleration of the arm that the
 model does not explain, times its inertia, is a force; where that is the weight of a mass in all joints alike, it is one. To weigh
 is more exact, and takes seconds: meanwhile the arm would fall.
-Arrays: ``weight`` (n) [N, N m] of 1 kg, ``force`` (n) [N, N m] that is learned, ``load`` and ``rule``.
+Arrays: ``weight`` (n) [N, N m] of 1 kg, ``force`` (n) [N, N m] that is learned, ``load``.
 """
 
 from __future__ import annotations
@@ -17,6 +17,10 @@ from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.bases.ball.disturbance import Disturbance
 from wbmpc.kernel.ir import Floats
 
+#: How fast a mass is weighed [1/s]; the largest [kg]; standard deviation [kg] that the arm's torques alone must determine it with.
+RATE, MAXIMUM, SURE = 2.0, 3.0, 0.5
+#: By how much forces on the base and in the arm's joints are off where there is no mass [N m].
+BASE_SPREAD, ARM_SPREAD = 2.5, 0.6
 #: Gain [1/s] of the arm's speed under the model; of the mass [1/s]; masses [kg] from which on it counts, and until when.
 SPEED_GAIN, MASS_GAIN, BEGINS, ENDS = 60.0, 40.0, 0.25, 0.05
 #: A robot that moves slowly for so long [s] detects a load that comes until so long after it [s]: in fast motions the model's errors
@@ -41,16 +45,6 @@ class Load(IntEnum):
     STARTED = 4
 
 
-class Rule(IntEnum):
-    """Entries of the array ``rule``: settings of :class:`wbmpc.bases.ball.payload.PayloadEstimator`."""
-
-    RATE = 0
-    MAXIMUM = 1
-    SURE = 2
-    BASE_SPREAD = 3
-    ARM_SPREAD = 4
-
-
 class Payload(NamedTuple):
     """What the mass of n coordinates is found by, beside a :class:`Disturbance`."""
 
@@ -59,43 +53,42 @@ class Payload(NamedTuple):
     believed: Floats  # (n), the speed under it
     apart: Floats  # (n), what is measured besides
     load: Floats  # Load
-    rule: Floats  # Rule
 
 
 @compiled
-def arm_observes_mass(n: int, weight: Floats, rule: Floats) -> bool:
+def arm_observes_mass(n: int, weight: Floats) -> bool:
     """Whether the arm observes a mass by itself and better than the base."""
     whole, own = 0.0, 0.0
     for i in range(n):
-        spread = rule[Rule.BASE_SPREAD] if i < BASE else rule[Rule.ARM_SPREAD]
+        spread = BASE_SPREAD if i < BASE else ARM_SPREAD
         each = weight[i] ** 2 / spread**2
         whole += each
         if i >= BASE:
             own += each
-    return own >= max(0.5 * whole, 1.0 / rule[Rule.SURE] ** 2)
+    return own >= max(0.5 * whole, 1.0 / SURE**2)
 
 
 @compiled
-def change(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, by: float, known: float) -> None:
+def change(n: int, weight: Floats, force: Floats, load: Floats, by: float, known: float) -> None:
     """The mass changes ``by`` [kg], of which the ``force`` had the ``known`` share."""
     previous = load[Load.MASS]
-    load[Load.MASS] = min(max(previous + by, 0.0), rule[Rule.MAXIMUM])
+    load[Load.MASS] = min(max(previous + by, 0.0), MAXIMUM)
     for i in range(n):
         force[i] -= known * (load[Load.MASS] - previous) * weight[i]
 
 
 @step
-def learn(n: int, weight: Floats, force: Floats, load: Floats, rule: Floats, h: float) -> None:
+def learn(n: int, weight: Floats, force: Floats, load: Floats, h: float) -> None:
     """What of the ``force`` is like the weight becomes mass, for ``h`` [s], where the arm observes it."""
-    if not arm_observes_mass(n, weight, rule):
+    if not arm_observes_mass(n, weight):
         return
     alike, square = 0.0, 0.0
     for i in range(n):
-        spread = rule[Rule.BASE_SPREAD] if i < BASE else rule[Rule.ARM_SPREAD]
+        spread = BASE_SPREAD if i < BASE else ARM_SPREAD
         scaled = weight[i] / spread**2
         alike += scaled * force[i]
         square += scaled * weight[i]
-    change(n, weight, force, load, rule, h * rule[Rule.RATE] * alike / square, 1.0)
+    change(n, weight, force, load, h * RATE * alike / square, 1.0)
 
 
 @compiled
@@ -139,12 +132,12 @@ def detect_change(d: Disturbance, p: Payload, learning: float, h: float) -> tupl
 def update_mass(d: Disturbance, p: Payload, learning: float, h: float) -> None:
     """The mass of this tick, at once where a load comes or goes, else as it is learned; the force goes without it. What is known of the
     disturbance is that of :func:`wbmpc.bases.ball.disturbance.observe`, ``h`` [s] ago."""
-    if not arm_observes_mass(d.size, p.weight, p.rule):
+    if not arm_observes_mass(d.size, p.weight):
         return
     for i in range(d.size):
         p.model[i] = (d.after[i] - d.velocity[i] + d.innovation[i]) / h
     by, known = detect_change(d, p, learning, h)
     if p.load[Load.CHANGING] > 0.0:
-        change(d.size, p.weight, d.force, p.load, p.rule, by, known)
+        change(d.size, p.weight, d.force, p.load, by, known)
     else:
-        learn(d.size, p.weight, d.force, p.load, p.rule, learning * h)
+        learn(d.size, p.weight, d.force, p.load, learning * h)

@@ -2,6 +2,8 @@
 
 The drives act in the base's frame at the ball joint with constant gear −(r / r_w) a_i; that equals the minimal model
 with rolling. Until its estimator exists the measurement is the simulator's state, late and with noise.
+
+What a drive closes by itself between two commands: stiffness and damping about a moving set point, at the physics' rate.
 """
 
 from __future__ import annotations
@@ -14,13 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.elastic_drives import ElasticDrives
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.perturbation import BallPerturbation, RigidDrives, SeriesElasticDrives
 from wbmpc.bases.ball.sensor_step import minimal_state
 from wbmpc.bases.ball.sensors import BallSensors, WheelGeometry
-from wbmpc.bases.ball.servo import ActuatorServo
 from wbmpc.checks import numbers, whole
 from wbmpc.errors import InputError
 from wbmpc.kernel.step import bind
@@ -28,10 +30,9 @@ from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.contacts import GROUND, ROLLING
 from wbmpc.simulation.payloads import add_payload, lay_cables
-from wbmpc.simulation.perturbation import Perturbation
+from wbmpc.simulation.perturbation import Perturbation, quantize
 from wbmpc.simulation.world import (
     TIMESTEP,
-    Array,
     World,
     WorldAccess,
     add_drive,
@@ -41,6 +42,35 @@ from wbmpc.simulation.world import (
     unwrap,
 )
 from wbmpc.types import Edit, Truth
+
+#: Speeds are differences of encoder readings over this time [s].
+WINDOW = 0.010
+
+
+class ActuatorServo:
+    """Encoders of ``counts`` per turn with constant ``offset`` (n) [rad], read at every physics step of ``timestep`` [s]."""
+
+    def __init__(self, counts: int, offset: Array, timestep: float) -> None:
+        self._counts, self._offset, self._h = counts, offset, timestep
+        #: over how many physics steps speeds are found
+        self.steps = round(WINDOW / timestep)
+
+    def feedforward(self, command: BallCommand) -> Array:
+        """The command's plain torques (n) [N m]."""
+        return numbers("command", "torque", command.torque, self._offset.size)
+
+    def torque(self, command: BallCommand, since: float, angles: Array, before: Array, steps: int) -> Array:
+        """Torques (n) [N m] of a command with gains, ``since`` [s] after it came: true ``angles`` (n) [rad] now, and ``before``, so many
+        ``steps`` ago."""
+        n = self._offset.size
+        position, speed, stiffness, damping = (
+            numbers("command", name, getattr(command, name), n)
+            for name in ("position", "speed", "stiffness", "damping")
+        )
+        now, first = (quantize(a + self._offset, self._counts) for a in (angles, before))
+        rate = (now - first) / max(steps * self._h, self._h)
+        return self.feedforward(command) + stiffness * (position + since * speed - now) + damping * (speed - rate)
+
 
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]

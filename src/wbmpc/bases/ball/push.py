@@ -17,7 +17,7 @@ from wbmpc.checks import not_negative, numbers, positive_time
 from wbmpc.errors import NotFinite
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 
 #: Time constant [s] of the mean that is taken: three messages of the sensors at 400 Hz.
@@ -51,14 +51,11 @@ class PushEstimator:
     are allowed to; the push goes on to tilt them the same way, and the wheels come too late. ``room``: by how much a push that
     lasts for ``expected_push_time`` [s] more will move the component, to be kept free by the limit of the lean. Unlike the disturbance
     observer's force it is there within some 20 ms and gone as fast.
-    ``arm`` (m) [rad]: angles for which the pole is taken. ``backend``: machine code, or the same source
-    as ordinary Python. Needs :meth:`update` once for every new state.
+    ``arm`` (m) [rad]: angles for which the pole is taken. Needs :meth:`update` once for every new state.
     Raises :class:`InputError` (:class:`NotFinite`) for numbers that cannot be.
     """
 
-    def __init__(
-        self, robot: RobotModel, arm: ArrayLike, expected_push_time: float, backend: Backend = "compiled"
-    ) -> None:
+    def __init__(self, robot: RobotModel, arm: ArrayLike, expected_push_time: float) -> None:
         not_negative("push estimator", expected_push_time=expected_push_time)
         arm = numbers("push estimator", "arm", arm, len(robot.state.groups["arm"]))
         base = ball_base(robot)
@@ -71,7 +68,7 @@ class PushEstimator:
         self._size, self._n, self.expected_push_time = robot.state.size, n, expected_push_time
         own = {"x": self._size, "expected": self._size, "slope": 2 * n, "drift": 2, "found": 2}
         self._arrays = {name: np.zeros(size) for name, size in own.items()}
-        self._take_in = bind(take_in, self._arrays, backend, n=n)
+        self._take_in = bind(take_in, self._arrays, n=n)
         self.reset()
 
     @property

@@ -83,20 +83,13 @@ class BusBallController(BallController):
 
     def measure(self, message: BallMessage) -> None:  # type: ignore[override]
         """A new message moves estimator and observer by its own interval; an old one is only older."""
-        assert self.estimator is not None
         age = max(message.now - message.time, 0.0)
         interval = None if self._sampled is None else message.time - self._sampled
         if interval is not None and interval <= 1e-6:
             assert self.seen is not None
             self.measured = self.seen = BallMeasurement(message.now, self.seen.state, age)
             return
-        m = message
-        state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, self._turning(age))
-        self._sampled = message.time  # a message that was rejected has not moved the estimator
-        fix = self.fix() if self.fix is not None else None
-        if fix is not None:
-            state = self.estimator.correct(*fix)
-        self.measured = self.seen = BallMeasurement(message.now, state, age)
+        state = self._estimate(message, age, self._turning(age))
         if fallen := fall(state):  # on the floor the model has no answer, and torques beat the arm about
             raise FallPredicted(f"{fallen}; motors off")
         if self._moves(message):
@@ -105,6 +98,17 @@ class BusBallController(BallController):
             if self.observer is not None:
                 self._learn(message.now, state, interval or self.period)
         self.mpc.solver.set_parameters(self.parameters())
+
+    def _estimate(self, m: BallMessage, age: float, turning: float) -> Array:
+        """The state (nx) after a new message that is ``age`` [s] old, and another localization's pose; ``turning`` [N m]: see the estimator."""
+        assert self.estimator is not None
+        state = self.estimator.update(m.time, m.wheel, m.arm, m.gyro, m.accel, turning)
+        self._sampled = m.time  # a message that was rejected has not moved the estimator
+        fix = self.fix() if self.fix is not None else None
+        if fix is not None:
+            state = self.estimator.correct(*fix)
+        self.measured = self.seen = BallMeasurement(m.now, state, age)
+        return state
 
     def _moves(self, m: BallMessage) -> bool:
         """Whether it has moved since the first message. Drives may take the first commands late, and a person holds the robot until
@@ -118,15 +122,8 @@ class BusBallController(BallController):
 
     def follow(self, message: BallMessage) -> None:
         """A message while the drives are not commanded updates the estimator only."""
-        assert self.estimator is not None
-        if self._sampled is not None and message.time - self._sampled <= 1e-6:
-            return
-        state = self.estimator.update(message.time, message.wheel, message.arm, message.gyro, message.accel)
-        self._sampled = message.time
-        fix = self.fix() if self.fix is not None else None
-        if fix is not None:
-            state = self.estimator.correct(*fix)
-        self.measured = self.seen = BallMeasurement(message.now, state, max(message.now - message.time, 0.0))
+        if self._sampled is None or message.time - self._sampled > 1e-6:
+            self._estimate(message, max(message.now - message.time, 0.0), 0.0)
 
     def parameters(self) -> dict[str, Array]:
         """An announced moment counts as the generalized forces that it is for the robot as it stands now."""

@@ -9,7 +9,7 @@ from wbmpc.arrays import Array
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.model.robot import RobotModel
-from wbmpc.ros2.plants import Reading, RosPlant
+from wbmpc.ros2.plants import RosPlant
 from wbmpc.types import Truth
 
 
@@ -22,14 +22,6 @@ class BallRosPlant(RosPlant):
 
     def command(self, groups: dict[str, Array]) -> BallCommand:
         return BallCommand(np.concatenate([groups["wheel"], groups["arm"]]))
-
-    def read(self) -> Reading:
-        """What the sensors say; inertial readings are averages since the message before."""
-        m = self.plant.measure()
-        none = np.zeros(0)
-        joints = {"leg": none, "steer": none, "wheel": m.wheel, "arm": m.arm}
-        self.last = Reading(joints, m.gyro, m.accel, m.age)
-        return self.last
 
     def base(self, truth: Truth) -> tuple[Array, Array]:
         """Position and quaternion of the base, which leans; its frame is the ball's center."""

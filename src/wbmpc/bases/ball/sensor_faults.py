@@ -15,15 +15,22 @@ import numpy as np
 from wbmpc.arrays import Array
 from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.bases.ball.self_contact import SelfContact
-from wbmpc.checks import not_negative, positive
+from wbmpc.checks import not_negative
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind, zeros
+from wbmpc.kernel.step import bind, zeros
 
 
 @compiled
 def deadband(value: float, doubt: float) -> float:
     """What of a value is beyond ± ``doubt``."""
     return max(value - doubt, 0.0) - max(-value - doubt, 0.0)
+
+
+#: Motions [rad] that is none (a few counts), and that must be seen; speed [rad/s] that is none; doubt [rad/s²] of accelerations: what
+#: friction holds a joint against is less; how long [s] an encoder must have stood.
+STILL, EXPECTED, CRAWL, DOUBT, STOOD = 1.5e-4, 0.02, 0.05, 2.0, 0.02
+#: So long [s] the estimator has to say what it says of wheels.
+PATIENCE = 0.05
 
 
 class Encoders(NamedTuple):
@@ -42,11 +49,6 @@ class Encoders(NamedTuple):
     low: Floats  # (n) [rad], readings beyond which a joint rests at a stop
     high: Floats
     standing: Floats  # (n), 1 for encoders that should have moved
-    still: float  # [rad], motion that is none
-    expected: float  # [rad], motion that must be seen
-    crawl: float  # [rad/s], speed that is none
-    doubt: float  # [rad/s²], of the accelerations
-    min_standstill: float  # [s]
 
 
 @step
@@ -56,20 +58,20 @@ def watch(e: Encoders, h: float, doubted: bool, known: bool) -> tuple[bool, int]
     at all while accelerations are not ``known``."""
     surprise, count = False, 0
     for i in range(e.n):
-        if e.surprised[i] > 0.0 and abs(e.arm[i] - e.anchor[i]) > e.still:
+        if e.surprised[i] > 0.0 and abs(e.arm[i] - e.anchor[i]) > STILL:
             surprise = True
     if not known:
         return surprise, 0
     for i in range(e.n):
-        stands = abs(e.arm[i] - e.anchor[i]) <= e.still and e.arm[i] >= e.low[i] and e.arm[i] <= e.high[i]
+        stands = abs(e.arm[i] - e.anchor[i]) <= STILL and e.arm[i] >= e.low[i] and e.arm[i] <= e.high[i]
         if stands and not (doubted or surprise):
-            e.believed[i] += h * deadband(e.acceleration[i] - e.then[i], e.doubt)
+            e.believed[i] += h * deadband(e.acceleration[i] - e.then[i], DOUBT)
             e.gone[i] += h * e.believed[i]
             e.stood[i] += h
         else:  # at the first reading too
-            e.anchor[i], e.believed[i], e.then[i] = e.arm[i], deadband(e.speed[i], e.crawl), e.acceleration[i]
+            e.anchor[i], e.believed[i], e.then[i] = e.arm[i], deadband(e.speed[i], CRAWL), e.acceleration[i]
             e.gone[i], e.stood[i] = 0.0, 0.0
-        e.standing[i] = 1.0 if abs(e.gone[i]) > e.expected and e.stood[i] >= e.min_standstill - 1e-9 else 0.0
+        e.standing[i] = 1.0 if abs(e.gone[i]) > EXPECTED and e.stood[i] >= STOOD - 1e-9 else 0.0
         if e.standing[i] > 0.0:
             count += 1
     return surprise, count
@@ -141,40 +143,29 @@ class BallReadings(NamedTuple):
 class EncoderMonitor:
     """Watches the encoders of ``wheels`` and of named arm ``joints`` (n).
 
-    A joint's encoder is stalled when it has stayed within ``still`` [rad] (a few counts) for ``min_standstill`` [s] while the joint should
-    have turned by ``expected`` [rad]: by its speed at the last reading that moved, less ``crawl`` [rad/s], and by how much more
-    the model says that it accelerates than it said then, less ``doubt`` [rad/s²]. (An unknown load makes the model
+    A joint's encoder is stalled when it has stayed within :data:`STILL` for :data:`STOOD` while the joint should
+    have turned by :data:`EXPECTED`: by its speed at the last reading that moved, less :data:`CRAWL`, and by how much more
+    the model says that it accelerates than it said then, less :data:`DOUBT`. (An unknown load makes the model
     accelerate a joint that stands, but no more from one moment to the next; friction holds a joint against less than the doubt.)
     At its ``stops``, lower and upper (n) [rad], a joint is not judged, nor one whose
     turn would bring the robot against itself (``contact``; None: that is not known). A reading after a gap counts as a third of
-    ``min_standstill`` (:data:`IN_A_ROW`): the torques in between are unknown. Wheels, the inertial unit and jumps are judged by the
-    estimator; what it says of wheels counts once it has said so for ``patience`` [s], of the others at once; what of it lasts as
+    that time (:data:`IN_A_ROW`): the torques in between are unknown. Wheels, the inertial unit and jumps are judged by the
+    estimator; what it says of wheels counts once it has said so for :data:`PATIENCE`, of the others at once; what of it lasts as
     long as :data:`ENDS` has it ends the run. ``faults``: all that were reported, each part once.
     """
 
     def __init__(
         self, wheels: int, joints: Sequence[str], stops: tuple[Array, Array] | None = None,
-        contact: SelfContact | None = None, still: float = 1.5e-4, expected: float = 0.02, crawl: float = 0.05, doubt: float = 2.0,
-        min_standstill: float = 0.02, patience: float = 0.05, backend: Backend = "compiled",
+        contact: SelfContact | None = None,
     ) -> None:  # fmt: skip
-        who = "encoder monitor"
-        positive(who, still=still, expected=expected, doubt=doubt, patience=patience)
-        not_negative(who, wheels=wheels, crawl=crawl, min_standstill=min_standstill)
-        self.joints, self.wheels, self.patience = list(joints), wheels, patience
+        not_negative("encoder monitor", wheels=wheels)
+        self.joints, self.wheels = list(joints), wheels
         self.faults: list[EncoderFault] = []
         n = len(self.joints)
         low, high = stops or (np.full(n, -np.inf), np.full(n, np.inf))
         a = self._arrays = zeros(Encoders, n)
         a["low"][:], a["high"][:], a["anchor"][:] = low + NEAR, high - NEAR, np.nan
-        constants = {
-            "still": still,
-            "expected": expected,
-            "crawl": crawl,
-            "doubt": doubt,
-            "min_standstill": min_standstill,
-        }
-        self._watch = bind(watch, a, backend, n=n, **constants)
-        self._most = min_standstill / IN_A_ROW if min_standstill > 0.0 else np.inf
+        self._watch = bind(watch, a, n=n)
         self._durations: dict[str, float] = {}
         self._contact = contact
         self._doubted_until = -np.inf
@@ -186,7 +177,9 @@ class EncoderMonitor:
         a["arm"][:], a["surprised"][:] = arm, 0.0 if surprised is None else surprised
         if acceleration is not None:
             a["speed"][:], a["acceleration"][:] = speed, acceleration
-        surprise, standing = self._watch(min(interval, self._most), t < self._doubted_until, acceleration is not None)
+        surprise, standing = self._watch(
+            min(interval, STOOD / IN_A_ROW), t < self._doubted_until, acceleration is not None
+        )
         if surprise:  # speeds, and what the model makes of them, are not to be believed
             self._doubted_until = t + DOUBTED
         if not (standing or estimator_faults or self._durations):
@@ -222,11 +215,11 @@ class EncoderMonitor:
     def _maximum(self, name: str) -> float:
         """How long [s] counts: what was said for long is not over at once."""
         ends = _ends(name)
-        return max(2.0 * self.patience, ends if np.isfinite(ends) else 0.0)
+        return max(2.0 * PATIENCE, ends if np.isfinite(ends) else 0.0)
 
     def _report_delay(self, name: str) -> float:
         """How long [s] the estimator has to say so."""
-        return 0.0 if name.endswith("jumps") or name.startswith("imu") else self.patience
+        return 0.0 if name.endswith("jumps") or name.startswith("imu") else PATIENCE
 
     @property
     def lost(self) -> str:
@@ -239,9 +232,7 @@ class EncoderMonitor:
         lasting = [n for n, v in self._durations.items() if v >= _ends(n) - 1e-9]
         if lasting:
             return f"{message_of(*lasting[0].split())} for {_ends(lasting[0]):g} s"
-        wheels = [
-            n.split()[0] for n, v in self._durations.items() if n.endswith("stalled") and v >= self.patience - 1e-9
-        ]
+        wheels = [n.split()[0] for n, v in self._durations.items() if n.endswith("stalled") and v >= PATIENCE - 1e-9]
         if self.wheels - len(wheels) < MIN_WHEELS:
             return f"the encoders of {' and '.join(sorted(wheels))} stand still, and {MIN_WHEELS} are needed"
         return ""

@@ -16,7 +16,7 @@ from wbmpc.bases.ball.description import BallBaseDescription
 from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.bases.ball.sensor_step import GRAVITY, measure
 from wbmpc.errors import unknown_name
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.simulation.perturbation import PlantSample, quantize
 
 
@@ -69,12 +69,11 @@ class SensorFault:
 
 class BallSensors:
     """Called after every physics step; gives messages. ``mount`` (3) [m]: the inertial unit in base axes. ``sizes``: of positions and
-    velocities in MuJoCo; ``ball``: where those of the ball's joint begin. ``backend``: machine code
-    (:mod:`wbmpc.bases.ball.sensor_step`), or the same source as ordinary Python."""
+    velocities in MuJoCo; ``ball``: where those of the ball's joint begin."""
 
     def __init__(
         self, p: BallPerturbation, draw: PlantSample, wheels: WheelGeometry, mount: Array, timestep: float, jitter: int,
-        rng: np.random.Generator, sizes: tuple[int, int], ball: tuple[int, int], backend: Backend = "compiled",
+        rng: np.random.Generator, sizes: tuple[int, int], ball: tuple[int, int],
     ) -> None:  # fmt: skip
         self._p, self._h, self._rng, self._jitter = p, timestep, rng, jitter
         self.mount, self.arm_offset = mount, draw.arm_offset
@@ -89,13 +88,12 @@ class BallSensors:
             "mount": np.array(mount, float), "wheels": np.array(wheels.turn, float).ravel(),
         }  # fmt: skip
         self._indices = {"n": n, "nq": nq, "nv": nv, "ball_q": ball[0], "ball_v": ball[1]}
-        self._backend: Backend = backend
-        self._measure = bind(measure, self._arrays, backend, h=timestep, **self._indices)
+        self._measure = bind(measure, self._arrays, h=timestep, **self._indices)
         self.restart()
 
     def attach(self, q: Array, v: Array) -> None:
         """From now on :meth:`measure` reads these positions and velocities, which a simulator goes on writing."""
-        self._measure = bind(measure, self._arrays | {"q": q, "v": v}, self._backend, h=self._h, **self._indices)
+        self._measure = bind(measure, self._arrays | {"q": q, "v": v}, h=self._h, **self._indices)
 
     def restart(self) -> None:
         """Integrals and wheel angles start at zero."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.checks import not_negative, whole
+from wbmpc.control.direct import lag_share
 from wbmpc.errors import InputError
 
 #: So much of what was sent before a measurement, and no fewer ticks, is remembered [s]: older measurements count as this old.
@@ -38,7 +39,7 @@ class SentTorques:
 
     def __init__(self, torque: Array, period: float, settings: DriveSettings) -> None:
         self._period = period
-        self.blend = 1.0 - np.exp(-period / settings.lag) if settings.lag > 0.0 else 1.0
+        self.blend = lag_share(period, settings.lag)
         self.dead = whole("actuator_dead_time", settings.dead_time, period, "controller periods", minimum=0)
         if settings.dead_time > MAX_DEAD_TIME:
             raise InputError(f"actuator_dead_time: must be at most {MAX_DEAD_TIME:g} s, got {settings.dead_time:g} s")

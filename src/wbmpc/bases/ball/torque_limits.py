@@ -10,7 +10,7 @@ from wbmpc.arrays import Array
 from wbmpc.bases.ball.compilation import compiled, step
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 
 #: A wheel that hardly changes the spin counts as if it did by this share of it.
@@ -89,7 +89,7 @@ class TorqueLimits:
     """Of ``size`` drives, the wheels first. ``limit`` (n + m) [N m]; ``spin`` (n): torque about the vertical that the wheels' do to
     the ball under a base that stands upright."""
 
-    def __init__(self, robot: RobotModel, size: int, backend: Backend = "compiled") -> None:
+    def __init__(self, robot: RobotModel, size: int) -> None:
         effect = ball_base(robot).wheel_torque_map()
         self.limit: Array = np.array(robot.limits.input_upper[:size], float)
         self.spin: Array = effect[2]
@@ -99,7 +99,7 @@ class TorqueLimits:
         #: everything by its name in :class:`wbmpc.bases.ball.torque_limits.Torques`
         self.arrays = arrays | {"effect": effect.ravel(), "causes": np.linalg.pinv(effect).ravel()}
         self.constants = {"wheels": n, "size": size, "largest": robot.description.limits.spin_effort}
-        self._limit = bind(limit_torques, self.arrays, backend, **self.constants)
+        self._limit = bind(limit_torques, self.arrays, **self.constants)
 
     def limited(self, torque: Array, state: Array) -> Array:
         """Torques within the limits, for a base that leans as in the ``state`` (nx). Wheels that are clipped one by one would spin the ball.

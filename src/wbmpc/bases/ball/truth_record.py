@@ -18,7 +18,7 @@ from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensor_step import minimal_state
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.log import Log, Rows
 from wbmpc.simulation.compilation import LIBRARY as SIMULATION
 from wbmpc.simulation.scene import from_base
@@ -127,12 +127,10 @@ def estimated(
 class TruthRecord:
     """Writes what a ``plant`` really does, and where its end effector is for an estimated state, into a ``log``: channels "state" (nx),
     "hand" (3) [m], "hand_quaternion" (4), "tilt" [rad]; where there is an estimator "estimate" (nx), "hand_estimated",
-    "hand_quaternion_estimated"; and ``others``, channels by their width (None: one number), which are given with each row. ``backend``:
-    machine code, or the same source as ordinary Python."""
+    "hand_quaternion_estimated"; and ``others``, channels by their width (None: one number), which are given with each row."""
 
     def __init__(
         self, log: Log, plant: BallPlant, others: Mapping[str, int | None], estimator: bool,
-        backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         self._plant, nx = plant, 10 + 2 * len(plant.description.arm.joints)
         widths: dict[str, int | None] = {"state": nx, "hand": 3, "hand_quaternion": 4, "tilt": None}
@@ -142,8 +140,8 @@ class TruthRecord:
         self.values = self._rows.values
         room = {"seen": np.zeros(3)} | {name: np.zeros(9) for name in ("turned", "believed", "product")}
         own = self.values | room | plant.memory
-        self._truth = bind(truth, own, backend, m=len(plant.description.arm.joints), height=plant.base.ball_radius)
-        self._estimated = bind(estimated, own, backend) if estimator else None
+        self._truth = bind(truth, own, m=len(plant.description.arm.joints), height=plant.base.ball_radius)
+        self._estimated = bind(estimated, own) if estimator else None
 
     def add(self, t: float, estimate: Array | None = None) -> None:
         """A row at time t [s] of the present; the others' :attr:`values` have been written. ``estimate`` (nx): what an estimator believes."""

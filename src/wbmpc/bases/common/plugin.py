@@ -13,7 +13,9 @@ from wbmpc.robots import RobotDescription
 if TYPE_CHECKING:
     from wbmpc.control.protocols import RobotController
     from wbmpc.mpc.mpc import MPC
+    from wbmpc.obstacles.world import Obstacles
     from wbmpc.ros2.plants import RosPlant
+    from wbmpc.settings import StabilitySettings
     from wbmpc.simulation.perturbation import Perturbation
     from wbmpc.types import Edit, SimulatedRobot
 
@@ -62,3 +64,18 @@ class CommonBaseType(BaseType):
 
     def ros_plant(self, robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
         return self.part("ros_plant")(robot, self.plant(robot, perturbation, seed))  # type: ignore[no-any-return]
+
+
+class SpeedBaseType(CommonBaseType):
+    """Robots whose drives take speeds and whose problem is the default one."""
+
+    def mpc(
+        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
+        progress: str | None = None, **changes: Any,
+    ) -> MPC:  # fmt: skip
+        """Weights that follow from the robot's size and limits."""
+        from wbmpc.default_problem import default_mpc, default_settings
+
+        return default_mpc(
+            robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
+        )

@@ -10,10 +10,24 @@ from wbmpc.arrays import Array
 from wbmpc.default_problem import DefaultCost, default_problem, keep_clear, stay_at_home
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
-from wbmpc.ocp import OptimalControlProblem
+from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import BaseAdapter, Groups, PendingChanges, obstacles_of
-from wbmpc.ros2.goals import Planner
+from wbmpc.ros2.goals import Planner, Task
 from wbmpc.ros2.settings import drive_groups
+
+
+def references_of(task: Task, robot: RobotModel) -> dict[str, Reference]:
+    """For the terms ``end_effector``, ``state`` and ``input`` of a base in the plane; the arm, and what else the base has, like their home."""
+    base, effector = task.base, task.end_effector
+    states = np.tile(robot.home, (base.times.size, 1))
+    states[:, robot.state["base"]] = base.poses
+    inputs = np.zeros((base.times.size, robot.input.size))
+    inputs[:, robot.input["base"]] = base.twists @ np.linalg.pinv(robot.base.twist).T
+    return {
+        "end_effector": Reference.poses(effector.times, effector.positions, effector.orientations),
+        "state": Reference(base.times, states),
+        "input": Reference(base.times, inputs),
+    }
 
 
 class SpeedRosAdapter(BaseAdapter):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import mujoco
 
 from wbmpc.bases.base import Calibration, Proposal
-from wbmpc.bases.common.plugin import CommonBaseType
+from wbmpc.bases.common.plugin import SpeedBaseType
 from wbmpc.bases.fixed.description import FixedBaseDescription
 from wbmpc.bases.fixed.model import FixedBase
 from wbmpc.model.robot import RobotModel
@@ -18,12 +18,11 @@ from wbmpc.robots import RobotDescription
 if TYPE_CHECKING:
     from wbmpc.control.direct import DirectController
     from wbmpc.mpc.mpc import MPC
-    from wbmpc.obstacles.world import Obstacles
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
 
 
-class FixedBaseType(CommonBaseType):
+class FixedBaseType(SpeedBaseType):
     """What generic code may ask of robots whose base does not move."""
 
     Description = FixedBaseDescription
@@ -48,14 +47,6 @@ class FixedBaseType(CommonBaseType):
         mujoco.mj_kinematics(model, data)
         tree = read_tree(spec, description.base.body)
         return FixedBase(description, tree, data.xpos[body].copy(), data.xquat[body].copy())
-
-    def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: str | None = None, **changes: Any
-    ) -> MPC:
-        """Weights that follow from the robot's size and limits."""
-        from wbmpc.default_problem import default_mpc, default_settings
-
-        return default_mpc(robot, default_settings(**changes), obstacles=obstacles, progress=progress)
 
     def controller(
         self, robot: RobotModel, mpc: MPC, plant: Any, period: float, calibration: Calibration | None

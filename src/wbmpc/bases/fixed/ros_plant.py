@@ -25,9 +25,7 @@ class FixedRosPlant(RosPlant):
         return InputCommand(groups["arm"], np.zeros(1))
 
     def read(self) -> Reading:
-        none = np.zeros(0)
-        joints = {"leg": none, "steer": none, "wheel": none, "arm": self.plant.measure().state}
-        self.last = Reading(joints, np.zeros(3), _GRAVITY)
+        self.last = Reading({"wheel": np.zeros(0), "arm": self.plant.measure().state}, np.zeros(3), _GRAVITY)
         return self.last
 
     def base(self, truth: Truth) -> tuple[Array, Array]:

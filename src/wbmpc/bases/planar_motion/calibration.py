@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.planar_motion.odometry import PlanarOdometry
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
@@ -79,16 +80,12 @@ class Strokes:
         a, b = self.poses[:-1], self.poses[1:]
         c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
         dx, dy = (b - a)[:, :2].T
-        moved = np.stack([c * dx + s * dy, -s * dx + c * dy, _wrapped(b[:, 2] - a[:, 2])], axis=1)
+        moved = np.stack([c * dx + s * dy, -s * dx + c * dy, lie.wrapped(b[:, 2] - a[:, 2])], axis=1)
         by = np.zeros((len(a), 3, 6))
         by[:, 0, 3], by[:, 0, 4], by[:, 1, 3], by[:, 1, 4], by[:, 2, 5] = c, s, -s, c, 1.0
         by[:, :, :3] = -by[:, :, 3:]
         by[:, 0, 2], by[:, 1, 2] = moved[:, 1], -moved[:, 0]
         return moved, by
-
-
-def _wrapped(angle: Array) -> Array:
-    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def _stands(times: Array, turned: Array) -> list[tuple[int, int]]:
@@ -125,7 +122,7 @@ def fit_strokes(strokes: Strokes, motion: MotionByWheels, std: Array, source: st
     for step in range(STEPS + 1):
         own = np.array([m for m, _ in over(errors)])
         apart = moved - own
-        apart[:, 2] = _wrapped(apart[:, 2])
+        apart[:, 2] = lie.wrapped(apart[:, 2])
         if step == STEPS:
             break
         slope = np.empty((3 * count, size))

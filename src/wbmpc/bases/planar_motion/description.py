@@ -6,20 +6,18 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from wbmpc.bases.base import BaseDescription, Radius
+from wbmpc.bases.base import Radius
+from wbmpc.bases.common.description import SpeedBaseDescription
 
 #: A coordinate [m] in the axes of a body.
 Place = Annotated[float, Field(ge=-100, le=100)]
-_SPEEDS = "the inputs of this base are speeds, so that a contact force or wrench has no effect on its motion"
 
 
-class PlanarBaseDescription(BaseDescription):
+class PlanarBaseDescription(SpeedBaseDescription):
     """``wheels``: names of the wheels' joints. ``wheel_radius`` [m]; left out: that of the wheels' shapes in the file."""
 
     joint_key: ClassVar[str] = "wheels"
-    uses_inertia: ClassVar[bool] = False
     limit_keys: ClassVar[tuple[str, ...]] = ("base_linear", "base_angular")
-    not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 
     wheels: tuple[str, ...] = Field(min_length=2)
     wheel_radius: float | None = Field(None, ge=1e-3, le=10)

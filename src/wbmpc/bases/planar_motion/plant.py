@@ -15,8 +15,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.robots.couplings import put_followers
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.perturbation import Perturbation, WheeledPerturbation
-from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant
-from wbmpc.simulation.world import TIMESTEP, Array, add_drive
+from wbmpc.simulation.wheeled import TIRE, WheeledPlant
+from wbmpc.simulation.world import TIMESTEP, Array
 from wbmpc.types import Edit, Truth
 
 
@@ -27,6 +27,8 @@ class PlanarPlant(WheeledPlant):
     ``perturbation`` and ``seed``: how it differs from the model. ``edit`` changes the specification before it is compiled;
     ``settle`` [s]: time to sink into the tires before time 0.
     """
+
+    Measurement = PlanarMeasurement
 
     def __init__(
         self, robot: RobotModel, state: Array | None = None, perturbation: Perturbation | None = None, seed: int = 0,
@@ -64,22 +66,12 @@ class PlanarPlant(WheeledPlant):
         friction = self.stand_on_floor(spec)
         weight = float(spec.compile().body_mass.sum()) * GRAVITY
         for i in range(len(self._names["wheel"])):
-            self.drive_wheel(spec, i)
+            name = self._names["wheel"][i]
+            self.drive_joint(spec, name, np.inf, self.draw.wheel_lag[i])
+            self.add_load_sensor(spec, name, mujoco.mjtObj.mjOBJ_XBODY, spec.joint(name).parent.name)
             self.add_wheel(spec, i, self.model_base.geometry.radius * float(self.draw.radius[i]), friction)
         self.add_supports(spec, weight)
         self.finish(spec, edit)
-
-    def drive_wheel(self, spec: mujoco.MjSpec, i: int) -> None:
-        """The servo of wheel ``i``, and the sensor of what it carries."""
-        name, body = self._names["wheel"][i], spec.joint(self._names["wheel"][i]).parent
-        spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.dry_friction
-        effort = self.description.limits.effort.get(name, np.inf)
-        add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, self.draw.wheel_lag[i], WHEEL_GAIN)
-        # net force of all that touches below this body (data: force; reduction 3: net force)
-        spec.add_sensor(
-            name=f"contact_{name}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY, objname=body.name,
-            intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1],
-        )  # fmt: skip
 
     def index(self) -> None:
         """Also the wheels' bodies, and every group's drives with their limits of speed."""
@@ -112,17 +104,6 @@ class PlanarPlant(WheeledPlant):
         self.world.refresh()
         self.world.advance(self.carry_arm, steps, self._keep)
         self.world.check()
-
-    def measure(self) -> PlanarMeasurement:
-        """Encoder positions (quantized, with their zero errors, up to the jitter old) and the inertial unit. Asking twice at the same
-        time gives the same message."""
-        if self._last is not None and self._last.time == self.time:
-            return self._last
-        self.world.refresh()
-        read, imu = self.quantized(self.encoders()), self.inertial()
-        positions = {group: read[part] for group, part in self._parts.items()}
-        self._last = PlanarMeasurement(self.time, **positions, **imu, effort=self.efforts())
-        return self._last
 
     # ------------------------------------------------------------------ truth
     def truth(self) -> Truth:

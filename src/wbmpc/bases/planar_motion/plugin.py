@@ -10,7 +10,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.base import Base, Calibration
-from wbmpc.bases.common.plugin import CommonBaseType
+from wbmpc.bases.common.plugin import SpeedBaseType
 from wbmpc.bases.planar_motion.calibration import fit_errors
 from wbmpc.bases.planar_motion.model import PlanarBase, planar_base
 from wbmpc.bases.planar_motion.wheel_errors import WheelErrors
@@ -23,14 +23,12 @@ from wbmpc.robots.findings import Finding
 if TYPE_CHECKING:
     from wbmpc.bases.planar_motion.controller import PlanarController
     from wbmpc.mpc.mpc import MPC
-    from wbmpc.obstacles.world import Obstacles
-    from wbmpc.settings import StabilitySettings
 
 #: Condition of the wheel matrix, turns counted at the wheels' distance, above which it is reported.
 ILL = 20.0
 
 
-class PlanarBaseType(CommonBaseType):
+class PlanarBaseType(SpeedBaseType):
     """Checks and system; a base type adds ``Description``, ``model`` and the part ``plant``."""
 
     calibration_channels = ("wheel", "steer")
@@ -58,17 +56,6 @@ class PlanarBaseType(CommonBaseType):
         """The file's tree and its wheels."""
         tree = read_tree(spec, description.base.body)
         return tree, read_wheels(description, tree, wheel_radius(description, spec.compile()))
-
-    def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None, *,
-        progress: str | None = None, **changes: Any,
-    ) -> MPC:  # fmt: skip
-        """Weights that follow from the robot's size and limits."""
-        from wbmpc.default_problem import default_mpc, default_settings
-
-        return default_mpc(
-            robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
-        )
 
     def calibrate(self, robot: RobotModel, channels: Mapping[str, Array], source: str) -> Calibration:
         """Radii, and what the base's speeds are by them."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.arrays import Array
-from wbmpc.bases.common.ros import SpeedRosAdapter
+from wbmpc.bases.common.ros import SpeedRosAdapter, references_of
 from wbmpc.bases.common.ros_settings import PlanarRosSettings
 from wbmpc.bases.planar_motion.controller import PlanarController
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
@@ -21,7 +21,7 @@ from wbmpc.ocp import Cost, OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Weights, planar_estimate
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Task
-from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
+from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, by_arrivals
 
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
 #: [rad] besides, have restarted.
@@ -35,14 +35,8 @@ _NO_STEERING = np.zeros(0)
 
 
 @dataclass(frozen=True)
-class BusMeasurement(PlanarMeasurement):
-    """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that
-    time; ``origin`` [s]: where on the bus's clock the zero of the runner's is; ``series`` of the encoders; ``stamp`` [s] of the message."""
-
-    turning: float | None = None
-    origin: float = 0.0
-    series: Series = FIRST
-    stamp: float = 0.0
+class BusMeasurement(OnBus, PlanarMeasurement):
+    """Of a bus."""
 
 
 class References(dict[str, Reference]):
@@ -211,16 +205,8 @@ class PlanarRosAdapter(SpeedRosAdapter):
 
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> References:
-        """For the terms ``end_effector``, ``state`` and ``input``; the arm likes its home."""
-        base, effector = task.base, task.end_effector
-        states = np.tile(self.robot.home, (base.times.size, 1))
-        states[:, self.robot.state["base"]] = base.poses
-        inputs = np.zeros((base.times.size, self.robot.input.size))
-        inputs[:, self.robot.input["base"]] = base.twists @ np.linalg.pinv(self.robot.base.twist).T
-        found = References(
-            end_effector=Reference.poses(effector.times, effector.positions, effector.orientations),
-            state=Reference(base.times, states), input=Reference(base.times, inputs),
-        )  # fmt: skip
+        """Of a task, and whether the base leads."""
+        found = References(references_of(task, self.robot))
         found.carried = task.carried
         return found
 

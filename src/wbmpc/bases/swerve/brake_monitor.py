@@ -17,10 +17,15 @@ from numpy.typing import ArrayLike
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import step
 from wbmpc.bases.swerve.messages import SwerveMeasurement
-from wbmpc.checks import finite, numbers
+from wbmpc.checks import finite, numbers, positive
 from wbmpc.errors import InputError
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind, zeros
+from wbmpc.kernel.step import bind, zeros
+
+#: Motion [rad] of a leg that is held which is a fault, less what is no faster than this [rad/s]; motion [rad] that is none: a few counts.
+MOVED, CREEP, STILL = 0.01, 2e-4, 0.0015
+#: Time constant [s] of planned motion; time [s] after a command in which nothing is judged; planned rates [rad/s] that do not count.
+WINDOW, SETTLE, CRAWL = 5.0, 0.25, 0.08
 
 
 class Brakes(NamedTuple):
@@ -40,12 +45,7 @@ class Brakes(NamedTuple):
     settled: Floats  # (n), 1 for brakes that have had time to answer
     crawl: Floats  # (n) [rad/s], planned rates that do not count
     expected: Floats  # (n) [rad], planned motion after which a loose leg must have moved
-    moved: float  # [rad], motion of a leg that is held
-    still: float  # [rad], motion that is none
-    window: float  # [s], time constant of planned motion
-    settle: float  # [s], that a brake takes
     patience: float  # [s], before a loose leg that stands is judged
-    creep: float  # [rad/s], of legs that are held
 
 
 @step
@@ -57,28 +57,28 @@ def monitor_brakes(b: Brakes, t: float, h: float, unsettled: float) -> tuple[flo
         is_open = 1.0 if b.brake[i] > 0.5 else 0.0
         if is_open != b.opened[i]:
             b.since[i], b.reported[i], b.opened[i] = t, 0.0, is_open
-        b.settled[i] = 1.0 if t - b.since[i] >= b.settle - 1e-9 else 0.0
+        b.settled[i] = 1.0 if t - b.since[i] >= SETTLE - 1e-9 else 0.0
         if b.reported[i] > 0.0 and is_open > 0.0:
             any_stuck = True
             if abs(b.rate[i]) > b.crawl[i]:
                 unsettled = t
-    waits = any_stuck and t - unsettled < b.settle
-    forgotten, count = np.exp(-h / b.window), 0
+    waits = any_stuck and t - unsettled < SETTLE
+    forgotten, count = np.exp(-h / WINDOW), 0
     for i in range(b.n):
         apart = b.angle[i] - b.anchor[i]
         loose = b.opened[i] > 0.0 or b.reported[i] > 0.0  # may move, as far as is known
         # a leg counts from where it was when its brake had settled; a loose one from where it was last seen to move
-        afresh = b.settled[i] == 0.0 or (loose and (abs(apart) > b.still or (waits and b.reported[i] == 0.0)))
+        afresh = b.settled[i] == 0.0 or (loose and (abs(apart) > STILL or (waits and b.reported[i] == 0.0)))
         if afresh:
             b.anchor[i], b.planned[i], b.resting[i] = b.angle[i], 0.0, 0.0
         else:
             if not loose:
-                b.anchor[i] += min(max(apart, -h * b.creep), h * b.creep)
+                b.anchor[i] += min(max(apart, -h * CREEP), h * CREEP)
             counted = max(b.rate[i] - b.crawl[i], 0.0) - max(-b.rate[i] - b.crawl[i], 0.0)
             b.planned[i], b.resting[i] = forgotten * b.planned[i] + h * counted, b.resting[i] + h
         b.gone[i] = b.angle[i] - b.anchor[i]
         stands = abs(b.planned[i]) > b.expected[i] and b.resting[i] >= b.patience - 1e-9
-        odd = stands if b.opened[i] > 0.0 else abs(b.gone[i]) > b.moved
+        odd = stands if b.opened[i] > 0.0 else abs(b.gone[i]) > MOVED
         if b.reported[i] > 0.0 or (b.settled[i] > 0.0 and odd):
             count += 1
     return unsettled, count
@@ -122,42 +122,33 @@ class BrakeFault:
 class BrakeMonitor:
     """Watches n legs at a fixed period; ``time`` [s] of the last update.
 
-    ``moved`` [rad]: motion of a closed leg that is a fault, less ``creep`` [rad/s]: what moves no faster is none. ``expected``
-    [rad]: planned motion of an open leg during which it has stayed within ``still`` [rad] (a few counts of its encoder) for
+    A closed leg must not move by :data:`MOVED`, but for what creeps (:data:`CREEP`). ``expected``
+    [rad]: planned motion of an open leg during which it has stayed within :data:`STILL` for
     ``patience`` [s]: on a bump, too, the base turns in place of legs, until all wheels are down again; plans are forgotten with
-    the time constant ``window`` [s], and rates below ``crawl`` [rad/s] do not count, for a leg is also held by small rates.
-    ``limit`` (n) [rad/s]: largest planned rates; where they are small, so are ``crawl`` (:data:`CRAWL_SHARE` of the limit at
-    most) and ``expected``. ``settle`` [s] after a command nothing is judged: brakes take their time. The base may move in place
+    the time constant :data:`WINDOW`, and rates below :data:`CRAWL` do not count, for a leg is also held by small rates.
+    ``limit`` (n) [rad/s]: largest planned rates; where they are small, so are these (:data:`CRAWL_SHARE` of the limit at
+    most) and ``expected``. For :data:`SETTLE` after a command nothing is judged: brakes take their time. The base may move in place
     of a leg that is stuck, and then other legs move too little as well: those that did not stand as long as the first are
-    judged again, from the beginning, once the plan has held it for ``settle``. ``faults``: all that were reported; ``withdrawn``:
-    those that were taken back, of legs that were said not to open and then moved by ``moved``, or not to hold and then stood as
+    judged again, from the beginning, once the plan has held it as long. ``faults``: all that were reported; ``withdrawn``:
+    those that were taken back, of legs that were said not to open and then moved by as much, or not to hold and then stood as
     one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip).
     """
 
     def __init__(
-        self, names: Sequence[str], moved: float = 0.01, expected: float = 0.2, still: float = 0.0015,
-        window: float = 5.0, settle: float = 0.25, crawl: float = 0.08, patience: float = 1.3, creep: float = 2e-4,
-        limit: ArrayLike = np.inf, backend: Backend = "compiled",
-    ) -> None:  # fmt: skip
-        who = "brake monitor"
-        finite(who, moved=moved, expected=expected, still=still, window=window, settle=settle)
-        finite(who, crawl=crawl, patience=patience, creep=creep)
-        if min(moved, expected, still, window, settle, patience) <= 0.0 or min(crawl, creep) < 0.0:
-            raise InputError(
-                "brake monitor: moved, expected, still, window, settle and patience must be positive, crawl and creep not negative"
-            )
+        self, names: Sequence[str], limit: ArrayLike = np.inf, expected: float = 0.2, patience: float = 1.3
+    ) -> None:
+        positive("brake monitor", expected=expected, patience=patience)
         maximum = _positive_rates(limit, len(names))
-        self.names, self.moved, self.still, self.creep = list(names), moved, still, creep
-        self.window, self.settle, self.patience = window, settle, patience
-        self.crawl = np.minimum(crawl, CRAWL_SHARE * maximum)
-        self.expected = expected * np.minimum(1.0, (maximum - self.crawl) / (FAST - crawl))
+        self.names, self.patience = list(names), patience
+        self.crawl = np.minimum(CRAWL, CRAWL_SHARE * maximum)
+        self.expected = expected * np.minimum(1.0, (maximum - self.crawl) / (FAST - CRAWL))
         self.faults: list[BrakeFault] = []
         self.withdrawn: list[BrakeFault] = []
         self.real: list[BrakeFault] = []
-        self._bind(backend)
+        self._bind()
         self.restart_clock()
 
-    def _bind(self, backend: Backend) -> None:
+    def _bind(self) -> None:
         """Arrays by their names in :class:`Brakes`, and that step."""
         n = len(self.names)
         a = self._arrays = zeros(Brakes, n)
@@ -165,8 +156,7 @@ class BrakeMonitor:
         self._open, self._since, self._anchor, self._gone = a["opened"], a["since"], a["anchor"], a["gone"]
         self._planned, self._resting, self._reported = a["planned"], a["resting"], a["reported"]
         self._reported_at = np.zeros(n)
-        constants = {"moved": self.moved, "still": self.still, "window": self.window, "settle": self.settle}
-        self._monitor = bind(monitor_brakes, a, backend, n=n, patience=self.patience, creep=self.creep, **constants)
+        self._monitor = bind(monitor_brakes, a, n=n, patience=self.patience)
 
     def restart_clock(self) -> None:
         """Times restart: the next update is a first one, of brakes that count as sound again. What was reported stays reported."""
@@ -195,7 +185,7 @@ class BrakeMonitor:
         a["angle"][:], a["brake"][:], a["rate"][:] = self._checked(*readings[:4])
         if self._first:
             self._open[:], self._anchor[:] = a["brake"] > 0.5, a["angle"]
-            self._since[:], self._first, self.time = t - self.settle, False, t
+            self._since[:], self._first, self.time = t - SETTLE, False, t
         h, self.time = t - self.time, t
         self._unsettled, suspects = self._monitor(t, h, self._unsettled)
         if not suspects:
@@ -228,7 +218,7 @@ class BrakeMonitor:
         found = []
         for i in map(int, np.flatnonzero(self._reported)):
             gone = float(angle[i] - self._reported_at[i])
-            if self._open[i] and abs(gone) > self.moved:
+            if self._open[i] and abs(gone) > MOVED:
                 found.append(BrakeFault(t, i, self.names[i], "opens after all", gone))
             elif not self._open[i] and self._stands(i):
                 found.append(BrakeFault(t, i, self.names[i], "holds after all", float(self._planned[i])))
@@ -246,7 +236,7 @@ class BrakeMonitor:
     def _judge(self, t: float, i: int) -> BrakeFault | None:
         if not self._open[i]:
             gone = float(self._gone[i])
-            return BrakeFault(t, i, self.names[i], "does not hold", gone) if abs(gone) > self.moved else None
+            return BrakeFault(t, i, self.names[i], "does not hold", gone) if abs(gone) > MOVED else None
         return BrakeFault(t, i, self.names[i], "does not open", float(self._planned[i])) if self._stands(i) else None
 
 

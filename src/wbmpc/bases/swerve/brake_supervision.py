@@ -23,7 +23,6 @@ from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveRea
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.checks import finite, numbers
 from wbmpc.control.monitor import Fault, Monitor
-from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 
 
@@ -41,37 +40,31 @@ class LegHold:
         )
 
 
+#: By so much [rad] a leg must be farther from its plan than if it had stood; time constant [s] of both motions.
+AWAY, WINDOW = 0.018, 0.2
+#: A leg is held for so long [s], at most, and twice as long as last time if so soon [s] after it; time [s] between two that open.
+HOLD, LONGEST, AGAIN, APART = 0.3, 0.6, 0.6, 0.2
+
+
 class LegGuard:
     """Watches n open legs at a fixed period and says which are to be held, and until when.
 
-    A leg is held once it would be nearer to its plan by ``away`` [rad] if it had stood: |moved − planned| − |planned| > ``away``,
-    both summed with the time constant ``window`` [s]. So one that only lags behind its plan stays open: its brake would not help.
-    It is held for ``hold`` [s]; if it goes astray again within ``again`` [s] of opening, for twice as long as the last time, up to
-    ``longest`` [s]. No two legs open within ``apart`` [s]: those that are held meanwhile hold the base.
+    A leg is held once it would be nearer to its plan by :data:`AWAY` if it had stood: |moved − planned| − |planned| > AWAY,
+    both summed with the time constant :data:`WINDOW`. So one that only lags behind its plan stays open: its brake would not help.
+    It is held for :data:`HOLD`; if it goes astray again within :data:`AGAIN` of opening, for twice as long as the last time, up to
+    :data:`LONGEST`. No two legs open within :data:`APART`: those that are held meanwhile hold the base.
 
     ``until`` (n) [s]: when each opens, or has opened (−inf: was never held); ``holds`` (n): how often each was held.
     """
 
-    def __init__(
-        self, n: int, away: float = 0.018, window: float = 0.2, hold: float = 0.3, longest: float = 0.6,
-        again: float = 0.6, apart: float = 0.2,
-    ) -> None:  # fmt: skip
-        who = "leg guard"
-        finite(who, away=away, window=window, hold=hold, longest=longest, again=again, apart=apart)
-        if min(away, window, hold, again) <= 0.0 or apart < 0.0 or longest < hold:
-            raise InputError(
-                f"{who}: away, window, hold and again must be positive, apart not negative, longest no less than hold"
-            )
-        self.away, self.window, self.hold, self.longest, self.again, self.apart = (
-            away, window, hold, longest, again, apart,
-        )  # fmt: skip
+    def __init__(self, n: int) -> None:
         self.holds = np.zeros(n, int)
         self.restart()
 
     def restart(self) -> None:
         """No leg is held, times may restart. What was counted stays counted."""
         n = self.holds.size
-        self.until, self._length = np.full(n, -np.inf), np.full(n, self.hold)
+        self.until, self._length = np.full(n, -np.inf), np.full(n, HOLD)
         self._moved, self._planned = np.zeros((2, n))
         self._held, self._useless = np.zeros((2, n), bool)
         self._last: Array | None = None
@@ -102,18 +95,18 @@ class LegGuard:
         self.time, self._last = t, angle
         self._end(t, commanded_open)
         free = commanded_open & ~self._held & ~self._useless
-        kept = np.exp(-h / self.window)
+        kept = np.exp(-h / WINDOW)
         self._moved = np.where(free, kept * self._moved + (angle - last), 0.0)
         self._planned = np.where(free, kept * self._planned + h * planned, 0.0)
-        astray = free & (np.abs(self._moved - self._planned) - np.abs(self._planned) > self.away)
+        astray = free & (np.abs(self._moved - self._planned) - np.abs(self._planned) > AWAY)
         if astray.any():
             self._begin(t, astray)
         return [LegHold(t, int(i), float(self.until[i])) for i in np.flatnonzero(previous != self.until)]
 
     def _begin(self, t: float, astray: NDArray[np.bool_]) -> None:
-        soon = t - self.until < self.again  # after its last hold
-        longer = np.minimum(2.0 * self._length, self.longest)
-        self._length = np.where(astray, np.where(soon, longer, self.hold), self._length)
+        soon = t - self.until < AGAIN  # after its last hold
+        longer = np.minimum(2.0 * self._length, LONGEST)
+        self._length = np.where(astray, np.where(soon, longer, HOLD), self._length)
         self.until = np.where(astray, t + self._length, self.until)
         self._held |= astray
         self.holds += astray
@@ -124,8 +117,8 @@ class LegGuard:
         self.until[closed], self._held[closed] = np.minimum(self.until[closed], t), False
         self._useless &= commanded_open
         for i in np.flatnonzero(self._held & ~self.held(t)):
-            if t - self._freed < self.apart - 1e-9:
-                self.until[i] = self._freed + self.apart
+            if t - self._freed < APART - 1e-9:
+                self.until[i] = self._freed + APART
             else:
                 self._held[i], self._freed = False, t
 

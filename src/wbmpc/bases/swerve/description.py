@@ -7,12 +7,8 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from wbmpc.bases.base import BaseDescription, Radius, Section
-
-_SPEEDS = (
-    "the inputs of a swerve base are speeds, so that a contact force or wrench has no effect on its motion; valid: with a base of "
-    "type ball"
-)
+from wbmpc.bases.base import Radius, Section
+from wbmpc.bases.common.description import SpeedBaseDescription
 
 
 class ModuleDescription(Section):
@@ -36,14 +32,12 @@ class ModuleDescription(Section):
         return self.hinge or self.slide
 
 
-class SwerveBaseDescription(BaseDescription):
+class SwerveBaseDescription(SpeedBaseDescription):
     """A base on steered and driven wheels. ``wheel_radius`` [m]. ``orientation``: SE(2) state or a quaternion."""
 
     captions: ClassVar[Mapping[str, str]] = {"leg": "legs", "steer": "steering", "wheel": "wheels"}
     joint_key: ClassVar[str] = "modules"
-    uses_inertia: ClassVar[bool] = False
     limit_keys: ClassVar[tuple[str, ...]] = ("base_linear", "base_angular")
-    not_applicable: ClassVar[dict[str, str]] = {"contact": _SPEEDS, "contact_frame": _SPEEDS}
 
     type: Literal["swerve"]
     orientation: Literal["yaw", "quaternion"] = "yaw"

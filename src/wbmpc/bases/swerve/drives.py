@@ -17,17 +17,13 @@ from wbmpc.bases.swerve.compilation import step
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import learn_sag
 from wbmpc.checks import not_negative, positive
+from wbmpc.control.direct import lag_share
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind, zeros
+from wbmpc.kernel.step import bind, zeros
 from wbmpc.model.robot import RobotModel
 
 #: Time [s] over which the arm's sag is learned, longer than drives lag; the most that is taken for it [rad/s].
 SAG_TIME, MAX_SAG = 1.0, 0.15
-
-
-def lag_share(period: float, lag: float) -> float:
-    """Share of the way to a command that a drive of first order goes in a period [s]; 1 without a ``lag`` [s]."""
-    return float(1.0 - np.exp(-period / lag)) if lag > 0.0 else 1.0
 
 
 class DriveModel:
@@ -45,11 +41,11 @@ class ArmDrives:
     """The arm's ``count`` drives. ``sag`` (m) [rad/s]: by what joints turn besides their commands; ``command`` (m), the last one;
     ``rate`` and ``mean`` (m): what lagging drives make of the commands now and over the last period. ``arrays``: these."""
 
-    def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
+    def __init__(self, count: int, period: float, lag: float) -> None:
         self._period, self._lag, self._blend = period, lag, lag_share(period, lag)
         self.arrays = {name: np.zeros(count) for name in ("sag", "command", "rate", "mean", "turned")}
         self.sag, self.command, self.mean = (self.arrays[name] for name in ("sag", "command", "mean"))
-        self._learn = bind(learn_sag, self.arrays, backend, m=count, largest=MAX_SAG)
+        self._learn = bind(learn_sag, self.arrays, m=count, largest=MAX_SAG)
 
     def learn(self, turned: Array, h: float) -> None:
         """The sag from what the joints ``turned`` (m) [rad] in h [s] and what drives should have made of the commands."""
@@ -131,16 +127,15 @@ class DryFriction:
     """Dry friction of n drives: estimated from their measured motion, and compensated in their commands.
 
     ``period`` [s] of the commands, ``lag`` [s] of the drives. ``droop`` (n) [rad/s]: by how much each turns slower than commanded.
-    ``backend``: machine code, or the same source as ordinary Python.
     """
 
-    def __init__(self, count: int, period: float, lag: float, backend: Backend = "compiled") -> None:
+    def __init__(self, count: int, period: float, lag: float) -> None:
         positive("dry friction", period=period)
         not_negative("dry friction", lag=lag)
         a = self._arrays = zeros(Friction, count)
-        blend = float(1.0 - np.exp(-period / lag)) if lag > 0.0 else 1.0
+        blend = lag_share(period, lag)
         self._learn, self._drive = (
-            bind(step, a, backend, n=count, blend=blend, late=blend * lag / period) for step in (learn, drive)
+            bind(step, a, n=count, blend=blend, late=blend * lag / period) for step in (learn, drive)
         )
         self._within: tuple[Array | float | None, Array | float | None] = (None, None)
 
@@ -180,12 +175,12 @@ class Smoothing:
     message.
     """
 
-    def __init__(self, time: float, age: float, count: int, backend: Backend = "compiled") -> None:
+    def __init__(self, time: float, age: float, count: int) -> None:
         positive("smoothing", time=time)
         not_negative("smoothing", age=age)
         self.time, self.age, self.started = time, age, False
         self.arrays = {name: np.zeros(count) for name in ("read", "rates", "value")}
-        self._smooth = bind(smooth, self.arrays, backend, n=count, age=age, time=time)
+        self._smooth = bind(smooth, self.arrays, n=count, age=age, time=time)
 
     @property
     def value(self) -> Array | None:

@@ -27,7 +27,6 @@ from wbmpc.checks import covariance as checked_covariance
 from wbmpc.checks import finite, numbers
 from wbmpc.errors import InputError
 from wbmpc.estimation.repetition import Repetition
-from wbmpc.kernel.step import Backend
 from wbmpc.model.wheels import ModuleGeometry
 
 #: An interval longer than this [s] is a gap: a mean of the gyro over it is none, and the wheels show only where it ended.
@@ -50,15 +49,14 @@ class FusedOdometry:
     ``calibration``: what is known of the wheels (:meth:`WheelCalibration.unknown` when left out); ``pose_std`` (x, y, yaw)
     of the start; ``history`` [s]: how old a global pose may be. ``twist`` (3): body twist of the last interval;
     ``slip`` [m/s]: root mean square by which the wheels contradict each other over the slip window; ``global_poses``: those that were
-    taken in and rejected; ``contradiction``: by how much of their way the wheels contradicted each other. ``backend``: machine code, or
-    its source as ordinary Python. Raises :class:`InputError` for a calibration of
-    another number of modules, and for numbers that are not finite, of another length or negative.
+    taken in and rejected; ``contradiction``: by how much of their way the wheels contradicted each other. Raises :class:`InputError` for
+    a calibration of another number of modules, and for numbers that are not finite, of another length or negative.
     """
 
     def __init__(
         self, geometry: ModuleGeometry, pose0: ArrayLike = (0.0, 0.0, 0.0), *,
         calibration: WheelCalibration | None = None, noise: OdometryNoise | None = None,
-        pose_std: ArrayLike = (0.0, 0.0, 0.0), history: float = 0.5, backend: Backend = "compiled",
+        pose_std: ArrayLike = (0.0, 0.0, 0.0), history: float = 0.5,
     ) -> None:  # fmt: skip
         n = self._n = geometry.modules
         self.geometry, self.noise = geometry, noise or OdometryNoise()
@@ -72,7 +70,7 @@ class FusedOdometry:
         p[BIAS, BIAS] = self.noise.gyro_bias**2
         p[WHEELS:, WHEELS:] = known.covariance
         start = np.concatenate([numbers("odometry", "pose0", pose0, 3), np.zeros(2 + 2 * n)])
-        self._memory = OdometryMemory(geometry, known.wheel_radius, self.noise, backend)
+        self._memory = OdometryMemory(geometry, known.wheel_radius, self.noise)
         self._memory.set_state(State(-np.inf, start, p))
         finite("odometry", history=history)
         self._keep, self.global_poses = float(_not_negative("history", history)), LatePoses(self._memory)

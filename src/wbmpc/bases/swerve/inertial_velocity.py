@@ -13,7 +13,7 @@ from wbmpc.bases.swerve.compilation import step
 from wbmpc.bases.swerve.slipping_wheels import OVER
 from wbmpc.constants import GRAVITY
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 
 #: Time [s] over which tilts are forgotten; over which the rates' zeros are learned by a base at rest, and by one that moves; speed
 #: [m/s] of a base at rest.
@@ -93,13 +93,13 @@ GAP = 0.1
 class InertialVelocity:
     """Velocity of a base by accelerations and rates, which wheels that agree correct. ``seen`` (n, 2) [m/s]: the base's velocity by each
     wheel, an array that goes on. ``mount`` (3) [m]: where the inertial unit is, in axes of the base. ``weights`` (n): 1 for wheels that
-    go with the base, less for others. ``backend``: machine code, or the same source as ordinary Python.
+    go with the base, less for others.
 
     Where no wheel is near, the velocity coasts: integrals of accelerations are off by a few mm/s after half a second. What lasts (zeros,
     tilt of the floor) is learned from wheels that agree.
     """
 
-    def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), backend: Backend = "compiled") -> None:
+    def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         n = seen.size // 2
         self._mount, self._yaw_rate, self._counts = np.array(mount, float), 0.0, False
         pairs = ("inertial", "averaged", "zero", "tilt", "rate_zero")
@@ -109,7 +109,7 @@ class InertialVelocity:
             **self._arrays, "seen": seen, "weights": self.weights, "announced": self._announced, "gyro": self._gyro,
             "accel": self._accel, "mount": self._mount,
         }  # fmt: skip
-        self._step = bind(inertial_velocity, arrays, backend, n=n, over=OVER)
+        self._step = bind(inertial_velocity, arrays, n=n, over=OVER)
 
     @property
     def _lever(self) -> Array:

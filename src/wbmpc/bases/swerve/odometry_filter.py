@@ -93,7 +93,7 @@ def apart(state: State, rates: Array, t: float, pose: Array) -> Array:
     after = t - state.t if np.isfinite(state.t) else 0.0  # no message yet: it stands
     there = lie.se2_step(state.mean[:3], after * rates)
     error = pose - there
-    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
+    error[2] = lie.wrapped(error[2])
     return np.asarray(error)
 
 

@@ -11,7 +11,7 @@ from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.bases.swerve.odometry_step import WHEELS, Interval, Noise, Way, advance, farthest, measure
 from wbmpc.bases.swerve.slip_step import WINDOWS, slip_memory
 from wbmpc.bases.swerve.wheel_fit import WheelFit
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.model.wheels import ModuleGeometry
 
 
@@ -32,15 +32,15 @@ class OdometryMemory:
     the fit alone. ``legs``: what open legs showed in the interval.
     """
 
-    def __init__(self, geometry: ModuleGeometry, radius: Array, noise: OdometryNoise, backend: Backend) -> None:
+    def __init__(self, geometry: ModuleGeometry, radius: Array, noise: OdometryNoise) -> None:
         n, size = geometry.modules, WHEELS + 2 * geometry.modules
-        self._made_of = geometry, radius, noise, backend
+        self._made_of = geometry, radius, noise
         state = {"time": 1, "mean": size, "p": size * size}
         step = {"interval": int(Interval.SIZE), "twist": 3, "by_wheels": 6 * n, "correction": 2 * n, "covariance": 9}
         ends = np.cumsum([*state.values(), *step.values()])
         self.record = np.zeros(ends[-1])
         kept = dict(zip([*state, *step], np.split(self.record, ends[:-1]), strict=True))
-        self.wheels = WheelFit(geometry, radius, backend, twist=kept["twist"], correction=kept["correction"])
+        self.wheels = WheelFit(geometry, radius, twist=kept["twist"], correction=kept["correction"])
         self.state_end = int(ends[len(state) - 1])
         scratch = {"pose": 12, "by": 6 * n, "spread": 9, "cross": size}
         memory = {"off": 2 * n, "rolled_off": n, "way": int(Way.SIZE), "smoothed": 6 * n, "slip_mean": WINDOWS * 2 * n}
@@ -53,9 +53,9 @@ class OdometryMemory:
             "noise": np.array([getattr(noise, entry.name.lower()) for entry in Noise], float),
         }
         a = self.arrays
-        self.measure = bind(measure, a, backend, n=n)
-        self.advance = bind(advance, a, backend, n=n)
-        self.farthest = bind(farthest, a, backend, n=n)
+        self.measure = bind(measure, a, n=n)
+        self.advance = bind(advance, a, n=n)
+        self.farthest = bind(farthest, a, n=n)
         self.legs: LegEvidence | None = None
 
     @property

@@ -7,6 +7,7 @@ settings. The rest is of :mod:`wbmpc.simulation.wheeled`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,8 +28,8 @@ from wbmpc.simulation.arm import span
 from wbmpc.simulation.contacts import ROLLING
 from wbmpc.simulation.localization import Localization
 from wbmpc.simulation.perturbation import Perturbation, clipped
-from wbmpc.simulation.wheeled import TIRE, WHEEL_GAIN, WheeledPlant, let_tires_slide
-from wbmpc.simulation.world import TIMESTEP, Array, add_drive
+from wbmpc.simulation.wheeled import TIRE, WheeledPlant, let_tires_slide
+from wbmpc.simulation.world import TIMESTEP, Array
 from wbmpc.types import Edit, Truth
 
 #: Torque limits [N m] of wheel and steer drives whose effort the robot's file leaves out (Pankert et al., RA-L 2022, and its release).
@@ -72,6 +73,7 @@ class SwervePlant(WheeledPlant):
     ``localization``: a source of global poses, which come with the messages.
     """
 
+    Measurement = SwerveMeasurement
     perturbation: SwervePerturbation
 
     def __init__(
@@ -115,27 +117,13 @@ class SwervePlant(WheeledPlant):
                 size=[radius, WHEEL_HALF_WIDTH, radius], condim=3, friction=friction, solref=TIRE, mass=0,
                 rgba=[0, 0, 0, 0], group=3, **ROLLING,
             )  # fmt: skip
-            self._normal_force_sensor(spec, f"contact_{module.wheel}")
-            for joint in (module.steer, module.wheel):
-                spec.joint(joint).armature, spec.joint(joint).frictionloss = 0.03, self.perturbation.dry_friction
+            self.add_load_sensor(spec, module.wheel, mujoco.mjtObj.mjOBJ_GEOM, f"contact_{module.wheel}")
             if module.leg:
                 spec.joint(module.leg).damping = [SLIDE_DAMPING if module.slide else 1.0, 0, 0]
-            effort = self.description.limits.effort
-            self._servo(spec, module.wheel, WHEEL_GAIN, effort.get(module.wheel, WHEEL_TORQUE), draw.wheel_lag[i])
-            self._servo(spec, module.steer, WHEEL_GAIN, effort.get(module.steer, STEER_TORQUE), draw.module_lag[i])
+            self.drive_joint(spec, module.wheel, WHEEL_TORQUE, draw.wheel_lag[i])
+            self.drive_joint(spec, module.steer, STEER_TORQUE, draw.module_lag[i])
         self.finish(spec, edit)
         let_tires_slide(spec, [f"contact_{m.wheel}" for m in self.base.modules])
-
-    def _servo(self, spec: mujoco.MjSpec, joint: str, gain: float, limit: float, lag: float) -> None:
-        add_drive(spec, joint, joint, mujoco.mjtTrn.mjTRN_JOINT, limit, lag, gain)
-
-    @staticmethod
-    def _normal_force_sensor(spec: mujoco.MjSpec, geom: str) -> None:
-        """Net force on a geom's contacts in world axes (data: force; reduction 3: net force)."""
-        spec.add_sensor(
-            name=geom, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=geom,
-            intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1],
-        )  # fmt: skip
 
     def index(self) -> None:
         super().index()
@@ -253,24 +241,18 @@ class SwervePlant(WheeledPlant):
             self.world.advance(self._carry, part, self._keep)
         self.world.check()
 
-    def measure(self) -> SwerveMeasurement:
-        """Encoder positions (quantized, with their zero errors, up to the jitter old; all joints of a message share one
-        age) and the inertial unit. Asking twice at the same time gives the same message."""
-        if self._last is not None and self._last.time == self.time:
-            return self._last
-        self.world.refresh()
-        raw, noise = self.encoders(), self.perturbation.steer_noise
+    def encoders(self) -> Array:
+        """Also with noise of the steering."""
+        raw, noise = super().encoders(), self.perturbation.steer_noise
         if noise > 0.0:
             steer = self._parts["steer"]
             raw[steer] += noise * self._noise.normal(size=steer.stop - steer.start)
-        read = self.quantized(raw)
-        values = {group: read[part] for group, part in self._parts.items()}
-        imu = self.inertial()
-        place = None
-        if self.localization is not None:
-            place = self.localization.observe(self.time, self._planar_pose)
-        self._last = SwerveMeasurement(self.time, **values, **imu, place=place, effort=self.efforts())
-        return self._last
+        return raw
+
+    def observed(self) -> dict[str, Any]:
+        """A global pose, where there is a localization."""
+        source = self.localization
+        return {"place": None if source is None else source.observe(self.time, self._planar_pose)}
 
     # ------------------------------------------------------------------ truth
     def _planar_pose(self) -> Array:

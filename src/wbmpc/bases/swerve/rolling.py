@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import step
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.model.wheels import ModuleGeometry
 
 PI = float(np.pi)
@@ -33,7 +33,7 @@ class Modules(NamedTuple):
 
 @step
 def roll(
-    g: Modules, leg: Floats, steer: Floats, rate: Floats, target: Floats, wheel: Floats, vx: float, vy: float, turn: float
+    g: Modules, leg: Floats, steer: Floats, rate: Floats, target: Floats, wheel: Floats, vx: float, vy: float, turn: float,
 ) -> None:  # fmt: skip
     """Steering angles ``target`` (n) [rad], of the two of each wheel those nearest to ``steer`` (n), and speeds ``wheel`` (n) [rad/s] that
     roll a twist (vx, vy, ``turn``) with the legs at ``leg`` (n) moving at ``rate`` (n)."""
@@ -58,10 +58,9 @@ def roll(
 
 
 class Rolling:
-    """:func:`wbmpc.model.wheels.rolling_inverse_kinematics` of one base, without NumPy's cost of each operation.
-    ``backend``: machine code, or the same source as ordinary Python."""
+    """:func:`wbmpc.model.wheels.rolling_inverse_kinematics` of one base, without NumPy's cost of each operation."""
 
-    def __init__(self, geometry: ModuleGeometry, backend: Backend = "compiled") -> None:
+    def __init__(self, geometry: ModuleGeometry) -> None:
         n, plain = geometry.modules, lambda values: np.array(values, float).ravel()
         a = self._arrays = {name: np.zeros(n) for name in ("leg", "steer", "rate", "target", "wheel")}
         modules = {
@@ -69,7 +68,7 @@ class Rolling:
             "wheel_heading": plain(geometry.wheel_heading), "slides": plain(geometry.slides),
         }  # fmt: skip
         constants = {"radius": float(geometry.wheel_radius), "moves": float(geometry.legs_move)}
-        self._roll = bind(roll, a | modules, backend, n=n, **constants)
+        self._roll = bind(roll, a | modules, n=n, **constants)
 
     def __call__(
         self, leg: ArrayLike, steer: ArrayLike, twist: ArrayLike, leg_rate: ArrayLike = 0.0

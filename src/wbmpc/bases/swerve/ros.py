@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wbmpc.arrays import Array
+from wbmpc.bases.common.ros import references_of
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, brake_monitor
@@ -39,7 +40,7 @@ from wbmpc.ros2.base_adapter import (
 )
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
-from wbmpc.ros2.joints import FIRST, Inertial, JointSample, Series, by_arrivals
+from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
 
@@ -56,14 +57,8 @@ _NO_LEGS = np.zeros(0)
 
 
 @dataclass(frozen=True)
-class BusMeasurement(SwerveMeasurement):
-    """``turning`` [rad/s]: mean yaw rate since the measurement before, None where the gyro does not cover that time; ``origin``
-    [s]: where on the bus's clock the zero of ``time`` is; ``series`` of the encoders; ``stamp`` [s] of the message."""
-
-    turning: float | None = None
-    origin: float = 0.0
-    series: Series = FIRST
-    stamp: float = 0.0
+class BusMeasurement(OnBus, SwerveMeasurement):
+    """Of a bus."""
 
 
 class BusEstimator(SwerveEstimator):
@@ -328,7 +323,10 @@ class SwerveRosAdapter(BaseAdapter):
     # ------------------------------------------------------------------ tasks
     def references(self, task: Task, x: Array) -> dict[str, Reference]:
         """Of a task; legs go where ``legs`` says, or stay."""
-        return references_of(task, self.robot, x, self.legs)
+        found, states = references_of(task, self.robot), self.robot.state
+        if "leg" in states:
+            found["state"].values[:, states["leg"]] = x[states["leg"]] if self.legs is None else self.legs
+        return found
 
     def follow(self, references: dict[str, Reference]) -> None:
         """Start a task."""
@@ -344,23 +342,6 @@ class SwerveRosAdapter(BaseAdapter):
         odometry = self.controller.estimator.odometry
         pose, height = seen[1][self.robot.state["base"]], self.robot.base.body_height
         return planar_estimate(pose, odometry.twist, height, odometry.covariance, odometry.twist_covariance)
-
-
-def references_of(task: Task, robot: RobotModel, x: Array, legs: Array | None = None) -> dict[str, Reference]:
-    """For the terms ``end_effector``, ``state`` and ``input``; ``legs`` [rad]: left out, they stay as in the state ``x`` (nx); the arm
-    likes its home."""
-    base, end_effector = task.base, task.end_effector
-    states = np.tile(robot.home, (base.times.size, 1))
-    states[:, robot.state["base"]] = base.poses
-    if "leg" in robot.state:
-        states[:, robot.state["leg"]] = x[robot.state["leg"]] if legs is None else legs
-    inputs = np.zeros((base.times.size, robot.input.size))
-    inputs[:, robot.input["base"]] = base.twists
-    return {
-        "end_effector": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations),
-        "state": Reference(base.times, states),
-        "input": Reference(base.times, inputs),
-    }
 
 
 def swing_guess(robot: RobotModel, legs: Array, x0: Array, trajectory: Trajectory) -> Trajectory:

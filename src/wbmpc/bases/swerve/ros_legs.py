@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BrakeControl, reject_floating, reject_floating_way
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
@@ -26,7 +27,6 @@ from wbmpc.ros2.convert import error_message
 from wbmpc.stability import leg_angles
 
 _LOG = logging.getLogger("wbmpc")
-Array = np.ndarray
 #: The service, of the package that docs/how-to/ros2.md shows: its type, its request and its answer.
 SET_LEGS = "wbmpc_msgs/srv/SetLegs"
 DEFINITION = (
@@ -187,7 +187,7 @@ class Legs:
 
     def _outcome(self, goal: Array, brake: Array, commanded: Array) -> tuple[Array, Array]:
         """Which legs an order sets or keeps in motion, and the brakes (n, 1 = open) then."""
-        moving = (self.moving | ~np.isnan(goal)) & ~(brake == 0.0)
+        moving = (self.moving | ~np.isnan(goal)) & (brake != 0.0)
         return moving, np.where(np.isnan(brake), np.where(moving, 1.0, commanded), brake)
 
     # ------------------------------------------------------------------ in the node's thread
@@ -228,7 +228,7 @@ class Legs:
             return False
         self._nearest[new], self._since[new], self.short = np.inf, t, ""
         # a leg that is let go, or held where it is, goes nowhere
-        stays = ~self.moving & ~np.isnan(brake)
+        stays = ~(self.moving | np.isnan(brake))
         self.angles = np.where(stays, leg, self.angles)
         self._side = np.sign(self.angles - leg)
         return True

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.slip_step import detect_contradiction
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry, outlier_wheel
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.model.wheels import ModuleGeometry
 
 #: Contradiction of the wheels [m/s] that is looked into, averaged over [s]; for how long [s] a wheel is not believed after it.
@@ -21,15 +21,14 @@ SHARE, FEWEST = 0.8, 4
 
 class SlippingWheels:
     """Finds the ``wheels`` that go elsewhere than most do. ``odd`` (n): for how long [s] each is not believed yet; ``seen`` (2n) [m/s]:
-    with a gyro the base's velocity by each wheel, averaged. ``backend``: machine
-    code, or the same source as ordinary Python.
+    with a gyro the base's velocity by each wheel, averaged.
 
     With a gyro every wheel gives a velocity of the base, its own less what the turn does at its place; the largest group of
     wheels that agree is right, of groups of one size the one that agrees best. So two of four wheels may be wrong. Without a gyro one
     wheel may be, the one without which the others agree.
     """
 
-    def __init__(self, geometry: ModuleGeometry, wheels: WheelOdometry, backend: Backend = "compiled") -> None:
+    def __init__(self, geometry: ModuleGeometry, wheels: WheelOdometry) -> None:
         n = geometry.modules
         self._geometry, self.odd, self._leg = geometry, np.zeros(n), np.zeros(n)
         self._contradiction, self.seen = np.zeros(2 * n), np.zeros(2 * n)
@@ -38,7 +37,7 @@ class SlippingWheels:
             "leg_heading": np.array(geometry.leg_heading, float), "slides": np.array(geometry.slides, float), "leg": self._leg, "odd": self.odd,
             "contradiction": self._contradiction, "velocity": self.seen, **wheels.arrays,
         }  # fmt: skip
-        self._detect_contradiction = bind(detect_contradiction, arrays, backend, n=n, over=OVER, threshold=CONTRADICTS)
+        self._detect_contradiction = bind(detect_contradiction, arrays, n=n, over=OVER, threshold=CONTRADICTS)
 
     @property
     def contradictory(self) -> bool:

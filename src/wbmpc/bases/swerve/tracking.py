@@ -17,7 +17,7 @@ from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import integrate, predict, simulate_drives, track
 from wbmpc.checks import not_negative
-from wbmpc.kernel.step import Backend, bind
+from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.policy import Policy
 
@@ -46,20 +46,18 @@ class SwerveTracking:
     """The law at the controller's ``period`` [s]. ``wheel_scale`` (n): the model's wheel radius over each wheel's own.
 
     ``clamped``: whether the last wheels were slowed down to their limits; ``aligning``: wheels point elsewhere than planned
-    (turned by hand, or knocked), so that the base stands until they do not. ``backend``: machine code, or the same source as
-    ordinary Python.
+    (turned by hand, or knocked), so that the base stands until they do not.
     """
 
     def __init__(
         self, robot: RobotModel, period: float, settings: TrackingSettings, wheel_scale: Array,
-        backend: Backend = "compiled",
     ) -> None:  # fmt: skip
         self.robot, self.period, self.settings = robot, period, settings
         modules = swerve_base(robot).geometry.modules
         groups = ("wheel", "steer") if settings.friction else ()
-        self.friction = {g: DryFriction(modules, period, settings.lag, backend) for g in groups}
+        self.friction = {g: DryFriction(modules, period, settings.lag) for g in groups}
         self.drives = DriveModel(robot, period, settings.lag, settings.planned_steering)
-        self.arm = ArmDrives(len(robot.input.groups["arm"]), period, settings.lag, backend)
+        self.arm = ArmDrives(len(robot.input.groups["arm"]), period, settings.lag)
         self.side_slip = SideSlip(robot, period) if settings.allow_side_slip else None
         self.clamped = self.aligning = False
         limits = robot.limits
@@ -67,7 +65,7 @@ class SwerveTracking:
             g: (limits.actuator_upper[robot.input[g]], limits.input_rate[robot.input[g]] * period) for g in groups
         }
         self._arrays = self._memory(wheel_scale)
-        self._bind(backend)
+        self._bind()
 
     def _memory(self, wheel_scale: Array) -> dict[str, Array]:
         """Arrays by the names of fields in :mod:`wbmpc.bases.swerve.tracking_step`."""
@@ -88,7 +86,7 @@ class SwerveTracking:
             | {"x": np.zeros(robot.state.size)}
         )
 
-    def _bind(self, backend: Backend) -> None:
+    def _bind(self) -> None:
         s, inputs, state, blend = self.settings, self.robot.input, self.robot.state, self.drives.blend
         groups = ("base", "leg", "steer", "wheel", "arm")
         law = {
@@ -99,7 +97,7 @@ class SwerveTracking:
             "planned_steering": s.planned_steering,
         }  # fmt: skip
         self._track, self._simulate_drives, self._predict, self._integrate = (
-            bind(step, self._arrays, backend, **law) for step in (track, simulate_drives, predict, integrate)
+            bind(step, self._arrays, **law) for step in (track, simulate_drives, predict, integrate)
         )
 
     @property

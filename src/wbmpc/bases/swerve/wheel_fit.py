@@ -14,7 +14,7 @@ import numpy as np
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.compilation import compiled, step
 from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import Backend, Step, bind
+from wbmpc.kernel.step import Step, bind
 from wbmpc.model.wheels import ModuleGeometry
 
 
@@ -130,7 +130,7 @@ class WheelFit:
     ``given``: arrays to be used instead of own ones.
     """
 
-    def __init__(self, geometry: ModuleGeometry, radius: Array, backend: Backend = "compiled", **given: Array) -> None:
+    def __init__(self, geometry: ModuleGeometry, radius: Array, **given: Array) -> None:
         n = geometry.modules
         sizes = {
             "twist": 3, "residual": 2 * n, "rolled": n, "heading": n, "slope": 6 * n, "axes": 2 * n, "moved": 2 * n,
@@ -144,7 +144,7 @@ class WheelFit:
             **{name: np.zeros(size) for name, size in sizes.items()}, **given,
         }  # fmt: skip
         self.n = n
-        self.run = bind(fit, self.memory, backend, n=n)
+        self.run = bind(fit, self.memory, n=n)
 
     def with_pose(self, pose: Array) -> Step:
         """The step :func:`dead_reckon` on the same arrays and on a ``pose`` (3)."""

@@ -9,8 +9,6 @@ from wbmpc.bases.differential.plant import add_casters, add_tire
 from wbmpc.bases.omnidirectional.plant import add_rollers
 from wbmpc.bases.planar_motion.plant import PlanarPlant
 from wbmpc.bases.wheels.description import WheelsBaseDescription
-from wbmpc.simulation.wheeled import WHEEL_GAIN
-from wbmpc.simulation.world import add_drive
 
 
 class WheelsPlant(PlanarPlant):
@@ -38,9 +36,6 @@ class WheelsPlant(PlanarPlant):
             if not wheel.driven:
                 self._touch(spec, wheel.joint, wheel.rollers, self.model_base.geometry.radius, friction)
         for i, name in enumerate(base.joint_groups().get("steer", [])):
-            spec.joint(name).armature, spec.joint(name).frictionloss = 0.03, self.perturbation.dry_friction
-            effort = self.description.limits.effort.get(name, np.inf)
-            lag = self.draw.module_lag[min(i, len(self.draw.module_lag) - 1)]
-            add_drive(spec, name, name, mujoco.mjtTrn.mjTRN_JOINT, effort, lag, WHEEL_GAIN)
+            self.drive_joint(spec, name, np.inf, self.draw.module_lag[min(i, len(self.draw.module_lag) - 1)])
         if base.casters:
             add_casters(self, spec, weight, np.array(base.casters))
