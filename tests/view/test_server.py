@@ -120,7 +120,8 @@ def test_a_header_that_comes_twice_is_a_bad_request() -> None:
     try:
         url = guard.access.url(server.get_port())
         for name in ("Accept-Encoding", "Upgrade"):
-            assert get(url, **{name: "websocket", name.lower(): "websocket"})[0] == 400
+            twice = {name: "websocket", name.lower(): "websocket"}
+            assert get(url, Sec_WebSocket_Protocol=f"viser-v{viser.__version__}", **twice)[0] == 400
         assert get(url)[0] == 200
     finally:
         server.stop()
