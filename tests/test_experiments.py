@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from command_line import shell
 from wbmpc import bases, registry
 from wbmpc.benchmark.problems import race_problems
 from wbmpc.cli import main
@@ -266,6 +267,22 @@ def test_a_file_that_is_none_is_bad_input(
     assert main(["run", "mine.py"]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("where", ["import", "run", "thread", "child"])
+def test_a_program_that_ends_the_process_is_no_success(where: str, tmp_path: Path) -> None:
+    """Truth: a process of its own; what the operating system has of it, not what the library says. A child's status is its own."""
+    leaving = {
+        "import": "os._exit(0)",
+        "run": "os._exit(0)",
+        "thread": "import threading, time; threading.Thread(target=os._exit, args=(0,)).start(); time.sleep(5)",
+        "child": "import sys; child = os.fork(); child or os._exit(0); sys.exit(7 + os.waitpid(child, 0)[1])",
+    }[where]
+    source = OWN.replace("NAME", "mine").replace("    return RunResult", f"    {leaving}\n    return RunResult")
+    (tmp_path / "mine.py").write_text("import os\n" + (leaving if where == "import" else "") + source)
+    run = shell("run", str(tmp_path / "mine.py"), "--out", str(tmp_path / "run"))
+    assert run.returncode == (1 if where == "thread" else 2)
+    assert f"SystemExit: {7 if where == 'child' else 0}" in run.stderr or where == "thread"
 
 
 def test_what_a_run_says_of_itself_steers_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -285,3 +285,12 @@ def test_a_base_that_takes_speeds_is_controlled_in_mujoco(tmp_path: Path) -> Non
     )
     m = EXPERIMENT.run(settings, 0, None).metrics
     assert m["end_effector_error_mean_world"].value < 4e-3 and m["base_path_length"].value > 0.1
+
+
+def test_a_wheel_that_another_axis_steers_is_an_error(tmp_path: Path) -> None:
+    file = write(tmp_path, CASTERS)
+    data = yaml.safe_load(file.read_text())
+    data["base"]["wheels"][0]["steer"], data["base"]["wheels"][1]["steer"] = "s1", "s0"
+    file.write_text(yaml.safe_dump(data))
+    with pytest.raises(wb.InputError, match=r"key 'base\.wheels': joint 's1' does not move 'w0'"):
+        wb.load_robot(file)

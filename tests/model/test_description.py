@@ -196,7 +196,12 @@ def test_swerve_files_that_the_equations_do_not_describe(tmp_path: Path) -> None
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(InputError, match="all modules or none"):
         load_robot(path)
-    data["base"]["modules"][1]["hinge"], data["fixed_joints"] = "leg_RF", {}
+    modules, data["fixed_joints"] = data["base"]["modules"], {}
+    modules[1]["hinge"], modules[0]["hinge"] = "leg_LF", "leg_RF"
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(InputError, match=r"key 'base\.modules': joint 'leg_RF' does not move 'steer_LF'"):
+        load_robot(path)
+    modules[1]["hinge"], modules[0]["hinge"] = "leg_RF", "leg_LF"
     path.write_text(yaml.safe_dump(data))
     for target, old, new in (
         ("under the axis", '<body name="wheel_LF" pos="0 0 -0.2746">', '<body name="wheel_LF" pos="0.03 0 -0.2746">'),

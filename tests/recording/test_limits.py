@@ -131,6 +131,26 @@ def test_a_disk_that_is_full_at_the_end_of_a_file_ends_the_recording_alone(
     assert times.size >= 150
 
 
+@pytest.mark.parametrize(
+    ("then", "why"), [("new = 1", "another file took its place"), ("", "No such file or directory")]
+)
+@pytest.mark.parametrize("rotates", [False, True])
+def test_a_recording_that_is_not_there_at_the_end_is_reported(then: str, why: str, rotates: bool, tmp_path: Path) -> None:
+    """What is written goes to a file without a name then: the run would end as if it had its recording."""
+    path = tmp_path / "run.mcap"
+    recorder = Recorder(path, {})
+    recorder.file = McapFile(path, 1_000_000)
+    path.unlink()
+    if then:
+        path.write_text(then)
+    with recorder._noted():
+        if rotates:
+            recorder.file._rotate(1.0)
+    recorder.close({"completed": "true"})
+    assert f"{path}: cannot be written ({why})" in recorder.failure
+    assert [f.read_text() for f in tmp_path.iterdir()] == [then] * bool(then)
+
+
 def test_a_part_says_that_it_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Which times it holds, and where those before are: a part does not look like a whole run that long."""
     path = tmp_path / "run.mcap"

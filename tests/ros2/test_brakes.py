@@ -59,6 +59,20 @@ def test_a_brake_that_does_not_open(pair: Callable[..., Any], caplog: pytest.Log
     assert p.until(lambda: planned(p)[1] > 0.1) and p.until(lambda: not reported(p))
 
 
+def test_a_leg_whose_brake_does_not_open_ends_with_it_closed(pair: Callable[..., Any]) -> None:
+    """The plan holds such a leg, which stood under an open brake for good; a later order is one that may be followed."""
+    p = pair()
+    p.ready()
+    goal = float(p.standin.joints["leg"][1]) + 0.5
+    p.send("/legs", "sensor_msgs/msg/JointState", {"name": ["leg_RF"], "position": [goal]})
+    legs = p.control.base_commands.commands
+    assert p.until(lambda: reported(p)) and p.until(lambda: legs.short)
+    assert legs.short.startswith("leg_RF stopped at") and not legs.moving.any()
+    assert p.control.running and not p.control.adapter.brakes.commanded(np.inf).any()
+    p.send("/legs", "sensor_msgs/msg/JointState", {"name": ["leg_RF"], "position": [goal]})
+    assert p.until(lambda: planned(p)[1] > 0.1) and not legs.short and not p.control.adapter.faults
+
+
 def test_a_brake_that_does_not_hold(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A closed leg is pushed away: the plan moves it back, and takes it for held again when it stands all the same."""
     p = pair()

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import ArrayLike
 
 from wbmpc import lie
 from wbmpc.bases.common.ros import references_of
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
+from wbmpc.robots import load_description
 from wbmpc.ros2.goals import LEASH, STEP, EndEffectorTrack, Planner, Task, Track, base_track, end_effector_track
 from wbmpc.ros2.settings import Goals, Speeds
 
@@ -130,6 +134,16 @@ def test_too_high_is_rejected() -> None:
     assert 0.5 < PLANNER.shoulder < 0.8 and 1.3 < PLANNER.reach < 1.9
     with pytest.raises(InputError, match=r"out of reach: height 2.60 m"):
         PLANNER.to_end_effector(at(), 0.0, HAND + [0.0, 0.0, 1.8], TURNED)
+
+
+def test_a_reach_is_that_of_the_arm_in_whatever_order_its_joints_are(tmp_path: Path) -> None:
+    """From the last joint on it was 9 cm, and every goal out of it."""
+    file = load_description("swerve-ur10").model.with_name("swerve-ur10.yaml")
+    data = yaml.safe_load(file.read_text())
+    data["arm"]["joints"].reverse()
+    (tmp_path / "turned.yaml").write_text(yaml.safe_dump({**data, "model": str(file.with_name("swerve.xml"))}))
+    turned = Planner(load_robot(tmp_path / "turned.yaml"), SPEEDS)
+    assert (turned.shoulder, turned.reach) == (PLANNER.shoulder, PLANNER.reach)
 
 
 @pytest.mark.parametrize("height", [-0.4, -0.01])

@@ -181,6 +181,26 @@ def test_what_came_before_time_went_back_is_old() -> None:
     assert requests.take() is not None and requests.wrench().any() and not poses.lost() and not requests.rejected
 
 
+def test_states_that_are_read_while_another_thread_resets_them_count() -> None:
+    """The node's thread does at every stop: the message was lost with an error of Python's."""
+
+    class Reset(JointReader):
+        @property
+        def last(self) -> Any:
+            found, self._last = self._last, None
+            return found
+
+        @last.setter
+        def last(self, value: Any) -> None:
+            self._last = value
+
+    robot = load_robot("swerve-ur10")
+    reader = Reset(robot, settings_of(robot)())
+    head = SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=0))
+    message = SimpleNamespace(name=reader.names, position=np.zeros(len(reader.names)), header=head)
+    assert [reader.read(message, 5.0).stamp for _ in range(3)] == [5.0] * 3
+
+
 @pytest.mark.parametrize("confirmed", [False, True])
 def test_a_jump_that_the_next_message_confirms_is_true_for_who_would_fall(confirmed: bool) -> None:
     """Joints of a robot that is hit move faster than their drives can; without their states it would be let go."""

@@ -113,6 +113,16 @@ def test_threads_that_import_one_file_at_a_time_get_whole_modules(tmp_path: Path
         assert list(threads.map(later, range(8))) == [("completed", "")] * 8
 
 
+def test_an_interrupt_that_a_program_raises_in_a_workers_thread_is_its_own_mistake(tmp_path: Path) -> None:
+    """Truth: Python runs handlers of signals in the main thread alone. Dask's worker died of it, three times, with a traceback each."""
+    file = tmp_path / "valley.py"
+    file.write_text((HERE / "valley.py").read_text().replace("ZeroDivisionError(", "KeyboardInterrupt("))
+    task = {"source": str(file), "changes": {"raise_at": 1}, "seed": 1, "files": None, "keep": "none"}
+    with ThreadPoolExecutor(1) as threads:
+        row = threads.submit(execute, task).result()
+    assert (row["outcome"], row["reason"]) == ("error", "KeyboardInterrupt: of this seed")
+
+
 @thorough
 def test_a_run_that_kills_its_process_costs_itself_alone(tmp_path: Path) -> None:
     """Processes of Dask; each run has one thread. The port of Dask's pages is taken, as by another study: no matter."""

@@ -112,3 +112,16 @@ def test_no_text_becomes_a_link(text: str) -> None:
     shown = re.sub(r"\\(.)", r"\1", plain(text))
     assert LINKS.search(text) and not LINKS.search(shown)
     assert shown.replace("\u2060", "") == text
+
+
+def test_a_header_that_comes_twice_is_a_bad_request() -> None:
+    """Truth: RFC 9110, 15.5.1: the mistake is the client's, not the server's (status 500)."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    try:
+        url = guard.access.url(server.get_port())
+        for name in ("Accept-Encoding", "Upgrade"):
+            twice = {name: "websocket", name.lower(): "websocket"}
+            assert get(url, Sec_WebSocket_Protocol=f"viser-v{viser.__version__}", **twice)[0] == 400
+        assert get(url)[0] == 200
+    finally:
+        server.stop()

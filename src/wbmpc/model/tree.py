@@ -75,6 +75,14 @@ class Tree:
             raise unknown_name("joint below the base's body", name, [k.joint for k in self.links if k.joint])
         return place
 
+    def check_moves(self, upper: str, joint: str, where: str) -> None:
+        """Raise :class:`InputError` that begins with ``where`` if a joint hangs on another one than ``upper``."""
+        at = self.joint(joint)
+        while (at := self.links[at].parent) >= 0:
+            if self.links[at].joint == upper:
+                return
+        raise InputError(f"{where}: joint '{upper}' does not move '{joint}'")
+
     def units(self, names: Sequence[str]) -> tuple[str, ...]:
         """Units of the positions of joints: "m" of those that slide, "rad" of the others."""
         return tuple("m" if self.links[self.joint(n)].kind == "prismatic" else "rad" for n in names)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -144,11 +146,16 @@ class McapFile:
         self._make_room()
 
     def close(self) -> None:
-        """Write index and end; nothing if that was tried before: a disk that is full at the end is so again."""
+        """Write index and end; nothing if that was tried before: a disk that is full at the end is so again.
+
+        Raises :class:`OSError` too if the file is not there any more, or another one in its place.
+        """
         if self._file.closed:
             return
         try:
             self._writer.finish()
+            if not os.path.samestat(os.fstat(self._file.fileno()), self.path.stat()):
+                raise OSError(errno.EEXIST, "another file took its place")
         finally:
             self._file.close()
 

@@ -348,12 +348,14 @@ def _profile(shortest: float) -> tuple[Array, Array]:
 
 def _arm(robot: RobotModel) -> tuple[Array, float]:
     """Where the shoulder is (3) [m] with the base at the model's origin, and length [m] of the stretched arm."""
-    tree, joints = robot.tree, robot.description.arm.joints
-    first = tree.joint(joints[0])
-    frame = tree.frames[robot.tool]
-    length, link = float(np.linalg.norm(frame.position)), frame.link
-    while link != first:
-        length += float(np.linalg.norm(tree.links[link].position))
+    tree = robot.tree
+    joints, frame = {tree.joint(name) for name in robot.description.arm.joints}, tree.frames[robot.tool]
+    so_far, link = float(np.linalg.norm(frame.position)), frame.link
+    first, length = link, so_far
+    while link >= 0:  # a file may have joints in any order
+        if link in joints:
+            first, length = link, so_far
+        so_far += float(np.linalg.norm(tree.links[link].position))
         link = tree.links[link].parent
     place = tree.zero_poses()[first][0]
     if not robot.description.base.moves:

@@ -140,11 +140,12 @@ class JointReader:
         return np.array([names.index(n) for n in self.names])
 
     def _check_motion(self, stamp: float, values: np.ndarray, now: float) -> None:
-        if self.last is None:
+        last = self.last  # once: another thread may reset it
+        if last is None:
             return
-        interval, moved = stamp - self.last[0], np.abs(values - self.last[1])
+        interval, moved = stamp - last[0], np.abs(values - last[1])
         # a stamp far ahead is no time in which joints could move
-        passed = min(interval, max(now - self.last[2], 0.0) + self._gap)
+        passed = min(interval, max(now - last[2], 0.0) + self._gap)
         far = moved - (SPEED_FACTOR * self._speed * passed + SPEED_REST)
         doubted, self._doubted = self._doubted, (stamp, values)
         # what only overtook others on its way is no clock that was set back

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import socket
+import threading
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -55,7 +56,9 @@ def execute(task: Mapping[str, Any]) -> dict[str, Any]:
         found = {"outcome": ERROR, "reason": str(error), "unwritten": True}
     except RunAborted as error:
         found = {"outcome": "gave_up", "reason": str(error)}
-    except Exception as error:
+    except BaseException as error:  # Ctrl-C comes to the main thread alone: in a worker's a program has raised it
+        if not isinstance(error, Exception) and threading.current_thread() is threading.main_thread():
+            raise
         found = {"outcome": ERROR, "reason": described(error)}
     unwanted = "unwritten" in found or (found["outcome"] == "completed" and task["keep"] == "failed")
     if directory is not None and unwanted:

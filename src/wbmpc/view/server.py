@@ -160,21 +160,17 @@ class Guard:
         port = int(connection.local_address[1])
         reason = self.access.rejection(request.path, request.headers, port) or _other_version(request.headers)
         if not reason and self.server is None:  # what browsers may find is still being made
-            response = Response(HTTPStatus.SERVICE_UNAVAILABLE.value, "Starting", Headers({"Content-Length": "0"}), b"")
+            response = _text(HTTPStatus.SERVICE_UNAVAILABLE)
         elif reason:
             self.log.warning("view: a request was rejected: %s", reason)
-            text = f"403: {reason}\n".encode()
-            response = Response(
-                HTTPStatus.FORBIDDEN.value,
-                "Forbidden",
-                Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))}),
-                text,
-            )
+            response = _text(HTTPStatus.FORBIDDEN, reason)
         else:
             try:
                 response = serve(connection, replace(request, path=self.access.inside(request.path)))
             except (OSError, ValueError):  # no name of a file
-                response = Response(HTTPStatus.NOT_FOUND.value, "Not Found", Headers({"Content-Length": "0"}), b"")
+                response = _text(HTTPStatus.NOT_FOUND)
+            except LookupError:  # a header that may come once came again
+                response = _text(HTTPStatus.BAD_REQUEST)
         if response is not None:
             for name, value in _HEADERS.items():
                 response.headers[name] = value
@@ -270,6 +266,12 @@ class Guard:
 
     def _failed(self, loop: Any, context: dict[str, Any]) -> None:
         self.log.warning("view: %s", context.get("message", "an error"), exc_info=context.get("exception"))
+
+
+def _text(status: HTTPStatus, reason: str = "") -> Response:
+    text = f"{status.value}: {reason or status.phrase}\n".encode()
+    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))})
+    return Response(status.value, status.phrase, headers, text)
 
 
 def _other_version(headers: Headers) -> str:

@@ -242,7 +242,7 @@ class Legs:
         if there.any():
             self._close(brakes, t, there)
             _LOG.info("%s arrived: brakes closed", self._named(there))
-        stuck = self._stuck(brakes, t, leg)
+        stuck = self._stuck(t, leg)
         if not stuck.any():
             return bool(there.any())
         self._close(brakes, t, stuck)
@@ -253,12 +253,12 @@ class Legs:
         self.angles = np.where(stuck, leg, self.angles)
         return True
 
-    def _stuck(self, brakes: BrakeControl, t: float, leg: Array) -> NDArray[np.bool_]:
-        """Legs (n) on their way that come no nearer, but for those whose brakes do not answer: these are waited for."""
+    def _stuck(self, t: float, leg: Array) -> NDArray[np.bool_]:
+        """Legs (n) on their way that come no nearer, also those whose brakes seem not to open: plans hold these, and an open brake that
+        does answer would not."""
         assert self.angles is not None
         away = np.abs(leg - self.angles)
         goes_on = ~self.moving | (away < self._nearest - NEARER) | (t < self._since)
-        goes_on[[fault.leg for fault in brakes.doubted(t)]] = True
         self._nearest = np.where(goes_on, away, self._nearest)
         self._since = np.where(goes_on, t, self._since)
         return np.asarray(t - self._since > PATIENCE)

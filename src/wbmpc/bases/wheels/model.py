@@ -82,6 +82,7 @@ def read_contacts(description: RobotDescription, tree: Tree) -> list[Contact]:
         heading = float(np.arctan2(-axle[0], axle[1]))  # rolling direction = axle × up
         axis, sign, place = center[:2], 0.0, 0
         if wheel.steer:
+            tree.check_moves(wheel.steer, wheel.joint, f"{description.source}: key 'base.wheels'")
             link = tree.joint(wheel.steer)
             up = (poses[link][1] @ tree.links[link].axis)[2]
             if abs(up) < 1.0 - 1e-6:
