@@ -37,8 +37,9 @@ def study_page(summary: Summary, beside: Path, definitions: Mapping[str, Definit
     sources = "; ".join(f"{k} {', '.join(v)}" for k, v in summary.sources.items() if v and k != "code")
     about = f"{summary.finished} of {summary.planned} runs; {failed} of them did not complete. {sources}."
     note = (
-        "A run that did not complete counts as infinitely bad in every figure, and one without a figure in those with a goal. Intervals: bootstrap of the median, Wilson for "
-        "failures, 95 %. Differences are paired: median over equal seeds, against the first row or the named condition."
+        "A run that did not complete counts as infinitely bad in every figure, and one without a figure in those with a goal. "
+        "Intervals: bootstrap of the median, Wilson for failures, 95 %. Differences are paired: median over equal seeds, against the "
+        "first row or the named condition."
     )
     several = len(summary.sources.get("code", ())) > 1
     warning = '<div class="card summary bad">The runs are of different states of the code.</div>' if several else ""
