@@ -26,10 +26,11 @@ SIMULATED = frozenset(
     ("bases/common", "clearance", "control", "estimation", "kernel", "model", "mpc", "obstacles", "ocp", "robots", "runtime", "simulation", "solver",
      "stability", "tasks", "modules")
 )  # fmt: skip
-#: Modules beside the packages that have no part in it.
+#: Modules that have no part in it.
 NO_PART = frozenset(
     ("__init__.py", "__main__.py", "compare.py", "errors.py", "input_file.py", "interrupts.py", "logs.py", "output_file.py",
-     "registry.py", "reproduce.py", "result.py", "run_files.py", "run_index.py", "settings_table.py", "units.py", "yaml_file.py")
+     "registry.py", "reproduce.py", "result.py", "run_files.py", "run_index.py", "settings_table.py", "tasks/joint_figures.py", "units.py",
+     "yaml_file.py")
 )  # fmt: skip
 SWERVE, BALL = SIMULATED | {"bases/swerve", "studies/pankert2022"}, SIMULATED | {"bases/ball", "studies/minniti2019"}
 #: Where the README says that its figures are older than the code, and how.
