@@ -186,7 +186,8 @@ def note(table: Table, root: Path = ROOT) -> str:
         if len(packages) > MOST_NAMED:
             said = f"older than the code: {len(packages)} packages have changed since"
         commits.setdefault(said, []).append(commit)
-    return "\n\n".join(f"*Of commit {' and '.join(names)}: {said}.*" for said, names in commits.items())
+    lines = (f"*Of commit{'s' * (len(c) > 1)} {', '.join(c)}: {said}.*" for said, c in commits.items())
+    return "\n\n".join(lines) if table.text.strip() else "*No runs are published here at present.*"
 
 
 if __name__ == "__main__":
