@@ -13,8 +13,10 @@ from wbmpc.cli import main
 from wbmpc.compare import difference_text, load, overlay
 from wbmpc.errors import InputError
 from wbmpc.log import Log
+from wbmpc.plots.figures import plotly_figure
 from wbmpc.recording.writer import McapFile
 from wbmpc.report import plots_page
+from wbmpc.result import Plot
 from wbmpc.run_files import read_log
 from wbmpc.units import Scale
 
@@ -261,14 +263,16 @@ def test_curves_have_names_and_the_runs_the_same_colors(tmp_path: Path) -> None:
     run = load(tmp_path)
     plots = {p.title: p.series for p in overlay([run] * 2, ["a", "b"])}
     names = {title: [s.name for s in series if not s.dashed] for title, series in plots.items()}
-    assert names["tour.base_odometry, m"] == ["x", "y"] and names["tour.base_odometry, rad"] == ["yaw"]
+    assert names["tour.base_odometry, m"] == ["x", "y"] and names["tour.base_odometry, °"] == ["yaw"]
+    assert np.array_equal(plots["tour.base_odometry, °"][0].y, np.degrees(log.array("tour.base_odometry")[:, 2]))
     assert names["hand"] == ["x", "y", "z"]
     assert names["hand_quaternion"] == ["qw", "qx", "qy", "qz"]
     assert names["leg"] == [*wheels] and names["other"] == ["[0]", "[1]"]
     assert len(names["one (8 of 10)"]) == 8
     for series in plots.values():
         half = len(series) // 2
-        assert [s.color for s in series[:half]] == [s.color for s in series[half:]] == list(range(half))
+        drawn = [row["line"]["color"] for row in plotly_figure(Plot("t", "x", "y", series))["data"]]
+        assert drawn[:half] == drawn[half:] and len(set(drawn)) == half
         assert all(s.dashed and s.name == f"{s.signal}, b" for s in series[half:])
     page = plots_page("a", "b", overlay([run] * 2, ["a", "b"]))
     assert "</script><b>" not in page.partition("<body>")[2]

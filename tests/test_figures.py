@@ -131,8 +131,15 @@ def test_a_table_is_as_old_as_the_code_that_it_depends_on(tmp_path: Path, monkey
     table_age.changed.cache_clear()
     table_age.code_changed.cache_clear()
     assert list(table_age.age(table, tmp_path)) == [f"of commit {commit}; changed since: bases/ball, modules"]
+    assert table_age.note(table, tmp_path) == f"*Of commit {commit}: changed since: bases/ball, modules.*"
+    monkeypatch.setattr(table_age, "MOST_NAMED", 1)
+    older = f"*Of commit {commit}: older than the code: 2 packages have changed since.*"
+    assert table_age.note(table, tmp_path) == older
     page.write_text("<!-- some goals -->of commit 0123456abc<!-- end of some goals -->")
-    assert list(table_age.age(table, tmp_path)) == ["of commit 0123456abc, which is not known here"]
+    assert list(table_age.age(table, tmp_path)) == ["of commit 0123456abc; it is not known here"]
+    assert table_age.note(table, tmp_path) == "*Of commit 0123456abc: it is not known here.*"
+    page.write_text("<!-- some goals -->\n<!-- end of some goals -->")
+    assert table_age.note(table, tmp_path) == "*No runs are published here at present.*"
 
 
 def test_every_table_has_its_marks_and_packages_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,7 @@ def test_bodies_are_where_the_model_has_them(name: str) -> None:
     states = robot.home + rng.uniform(-0.2, 0.2, (4, robot.state.size))
     times = [0.0, 0.5, 0.7, 2.0]
     part = part_of(wb.show(robot, states, times))
-    np.testing.assert_allclose(unpacked(part, "times", "<f4"), times)
+    np.testing.assert_allclose(unpacked(part, "times", "<f8"), times)
     points = unpacked(part, "points", "<i2").reshape(4, -1, 3)[:, 0] / part["full"]
     lift = [0.0, 0.0, robot.base.ground]
     tools = np.array([robot.pose(x)[0] for x in states])
@@ -52,7 +52,7 @@ def test_plans_have_their_own_times_and_states_of_wrappers_are_cut() -> None:
         Status.CONVERGED, np.array([0.0, 0.1, 0.3, 1.0]), x, np.zeros((3, 7)), np.zeros((3, 7, 8)), 5, 1.0, 0.0, 0.0, 0.0, np.zeros((5, 8))
     )  # fmt: skip
     for plan, start in ((found, 0.0), (wb.Policy.of(found, 5.0), 5.0)):
-        times = unpacked(part_of(wb.show(robot, plan)), "times", "<f4")
+        times = unpacked(part_of(wb.show(robot, plan)), "times", "<f8")
         np.testing.assert_allclose(times, start + found.times, atol=1e-6)
 
 

@@ -6,7 +6,6 @@ import json
 import math
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,13 +15,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import wbmpc as wb
 from fake_experiment import FakeSettings, run
 from wbmpc.log import Log
-from wbmpc.plots.figures import MAX_POINTS, _colors, _legend_rows, _thin, hint, plotly_figure
-from wbmpc.report import goal_text, page, plots_page, to_json, versions, write_run
+from wbmpc.report import goal_text, page, to_json, versions, write_run
 from wbmpc.report.run_page import solve_lines
-from wbmpc.result import Metric, MpcStatistics, Plot, Series
+from wbmpc.result import Metric, MpcStatistics
 from wbmpc.units import number, scale
 
 CHROMIUM = shutil.which("chromium")
@@ -64,12 +61,6 @@ def test_files_of_a_run(tmp_path: Path) -> None:
         np.testing.assert_array_equal(log["hand.time"], result.log.times("hand"))
 
 
-@pytest.mark.parametrize(("count", "length", "rows"), [(12, 17, 6), (3, 1, 1), (1, 200, 1), (0, 0, 1)])
-def test_a_legend_has_room(count: int, length: int, rows: int) -> None:
-    """Truth: two entries like ``rezero-run-two [0]`` stood in a row of Chromium's."""
-    assert _legend_rows(["n" * length] * count) == rows
-
-
 def test_metrics_repeat_bit_for_bit_and_hold_no_timings() -> None:
     first, second = (to_json(run(FakeSettings(), 7), {}) for _ in range(2))
     assert json.dumps(first["metrics"]) == json.dumps(second["metrics"])
@@ -100,17 +91,6 @@ def test_page_is_self_contained(html_page: str) -> None:
     assert html_page.count("plotly.js v") == 1  # the library's banner: embedded once
 
 
-def test_figures_are_of_plotlys_schema() -> None:
-    """A page is written without Plotly's own check of names and values, which is made here."""
-    from plotly.graph_objects import Figure
-
-    plots = [p for p in run(FakeSettings(), 3).plots if isinstance(p, Plot)]
-    assert len(plots) == 4 and {p.equal_axes for p in plots} == {True, False}
-    for plot in plots:
-        figure = plotly_figure(plot)
-        assert json.loads(Figure(figure).to_json()) == json.loads(json.dumps(figure))
-
-
 def test_page_shows_everything(html_page: str) -> None:
     body = html_page[html_page.index("<body>") :]
     for text in (
@@ -135,54 +115,6 @@ def test_page_of_a_fall_says_so() -> None:
     text = page(run(FELL, 3))
     assert "The run did not complete: the robot fell at 2.00 s" in text
     assert '"card summary bad"' in text
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-@pytest.mark.parametrize("width", [1200, 500])
-def test_plots_stay_within_their_cards(tmp_path: Path, width: int) -> None:
-    """Measured by a browser; the first plot is a narrow one, which is drawn before its neighbor is there."""
-    result = run(FakeSettings(), 3)
-    result.plots = [result.plots[i] for i in (1, 2, 0)]
-    measure = (
-        "<script>addEventListener('load', () => setTimeout(() => { document.title = [...document.querySelectorAll('.plots > div')]"
-        ".map(d => d.querySelector('.main-svg').getBoundingClientRect().right <= d.getBoundingClientRect().right"
-        " ? 'fits' : 'spills').join(' ') }, 1500))</script></body>"
-    )
-    text = page(result)
-    assert title_after(text.replace("</body>", measure), tmp_path, width) == "fits fits fits"
-
-
-def title_after(text: str, directory: Path, width: int) -> str:
-    """The title that a page has when its scripts have run in a browser."""
-    (directory / "page.html").write_text(text)
-    options = (
-        "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-        f"--disable-component-update --disable-sync --virtual-time-budget=6000 --window-size={width},2000 "
-        f"--user-data-dir={directory / 'profile'} --dump-dom"
-    )
-    out = subprocess.run(
-        [str(CHROMIUM), *options.split(), (directory / "page.html").as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=90,
-    )
-    found = re.search(r"<title>(.*?)</title>", out.stdout)
-    assert found is not None
-    return found.group(1)
-
-
-def test_thinning_keeps_the_extremes_and_the_ends() -> None:
-    rng = np.random.default_rng(0)
-    x, y = np.arange(50_000.0), rng.normal(size=50_000)
-    y[123] = np.nan
-    for path in (False, True):
-        tx, ty = _thin(x, y, path)
-        assert tx.size <= MAX_POINTS
-        assert (tx[0], tx[-1]) == (x[0], x[-1])
-        assert np.all(np.diff(tx) > 0)
-        np.testing.assert_array_equal(ty, y[tx.astype(int)])
-    tx, ty = _thin(x, y, False)
-    assert (np.nanmin(ty), np.nanmax(ty)) == (np.nanmin(y), np.nanmax(y))
 
 
 NUMBERS = {0.00159712: "0.001597", 20.53: "20.53", 0.0: "0", np.inf: "inf", -np.inf: "-inf", np.nan: "not a number"}
@@ -233,19 +165,6 @@ def test_goals_as_text() -> None:
         goal_text(m, shown) for m in (metric(), metric(goal=0.02), metric(least=0.005), metric(least=0, goal=0.02))
     ]
     assert texts == ["", "≤ 20", "≥ 5", "0 to 20"]
-
-
-def test_a_signal_and_its_reference_share_a_color_and_a_meaning_keeps_its_own() -> None:
-    line = lambda name, color=None: Series(name, np.zeros(2), np.zeros(2), color=color)
-    x, x_reference, y, y_planned = _colors([line("x"), line("x, reference"), line("y"), line("y, planned")])
-    assert x == x_reference != y == y_planned
-    path, error = (
-        _colors([line("reference"), line("estimated frame"), line("world")]),
-        _colors([line("world"), line("estimated frame")]),
-    )
-    assert path[1:] == error[::-1] and len(set(path)) == 3
-    assert len(set(_colors([line("world"), *(line(f"joint {i}") for i in range(5))]))) == 6
-    assert _colors([line("a", 2), line("b", 2)])[0] == _colors([line("c", 2)])[0]
 
 
 def test_the_page_names_command_and_duration(tmp_path: Path) -> None:
@@ -303,43 +222,6 @@ def test_a_run_that_did_not_complete_reaches_no_goal() -> None:
     assert '<span class="met">' not in text
 
 
-def test_names_of_axes_make_no_links() -> None:
-    line = wb.Series("a", np.arange(3.0), np.arange(3.0))
-    text = plots_page("t", "a", [wb.Plot("t", "<a href='http://x'>", "<b>", [line])])
-    assert "\\u003ca href" not in text
-    assert "\\u003cb\\u003e" not in text
-
-
-def joint(name: str, values: list[float], limits: tuple[float, float] | None, dashed: bool = False) -> Series:
-    return Series(name, np.arange(float(len(values))), np.array(values), dashed, limits=limits)
-
-
-def test_limits_are_drawn_in_the_color_of_their_line_and_shared_ones_once() -> None:
-    """Truth: a limit is a level line over all times at its own height; an infinite one is none."""
-    plot = Plot("t", "time [s]", "angle [rad]", [
-        joint("a", [0.0, 1.0, 0.5], (-1.5, 2.0)), joint("a, planned", [0.1, 0.9, 0.4], None, True), joint("b", [0.2, 0.1, 0.0], (-np.inf, 2.0)),
-    ])  # fmt: skip
-    a, planned, b, *limits = plotly_figure(plot)["data"]
-    assert a["line"]["color"] == planned["line"]["color"] != b["line"]["color"]
-    assert [row["showlegend"] for row in (a, planned, b)] == [True, False, True]
-    assert {tuple(row["y"]): row["line"]["color"] for row in limits} == {
-        (-1.5, -1.5): a["line"]["color"],
-        (2.0, 2.0): "#7b8894",
-    }
-    assert all(row["x"] == [0.0, 2.0] and row["line"]["dash"] == "dot" for row in limits)
-    low, high = plotly_figure(plot)["layout"]["yaxis"]["range"]
-    assert low < -1.5 and high > 2.0 and hint(plot) == "dashed: planned; dotted: limits"
-
-
-def test_far_limits_do_not_flatten_a_plot() -> None:
-    plot = Plot("t", "time [s]", "torque [N m]", [joint("a", [-1.0, 1.0], (-56.0, 56.0))])
-    low, high = plotly_figure(plot)["layout"]["yaxis"]["range"]
-    assert -2.0 < low < -1.0 and 1.0 < high < 2.0
-    assert "(56 N m and further are outside of the picture" in hint(plot)
-    below = Plot("t", "time [s]", "speed [m/s]", [joint("v", [0.0, 0.2], (-0.9, 0.9))])
-    assert "(-0.9 m/s is outside of the picture: a double click shows it)" in hint(below)  # the upper one is drawn
-
-
 def test_definitions_are_shown_beside_names_and_stay_text() -> None:
     result = run(FakeSettings(), 3)
     result.metrics["fell"] = replace(result.metrics["fell"], definition='whether "it" <fell>')
@@ -358,18 +240,3 @@ def test_the_outcome_says_what_late_and_failed_solves_mean() -> None:
     assert "after the same delay of 10 ms" in late and late in page(result).replace("&#x27;", "'")
     result.mpc = MpcStatistics.of(50.0, [0.001], 100)
     assert solve_lines(result) == ["All 100 solves gave a plan, each within the period of 20 ms."]
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-def test_plots_over_time_share_their_zoom(tmp_path: Path) -> None:
-    """In a browser: one plot is zoomed; the script ends when the other one over time has its range. The path keeps its own."""
-    zoom = """<script>addEventListener("load", async () => {
-  const [path, first, second] = document.querySelectorAll(".js-plotly-plot");
-  const before = JSON.stringify(path.layout.xaxis.range);
-  const followed = new Promise(done => second.on("plotly_relayout", change => "xaxis.range" in change && done()));
-  await Plotly.relayout(first, { "xaxis.range[0]": 1, "xaxis.range[1]": 2 });
-  await followed;
-  document.title = [second.layout.xaxis.range.join(" to "), before === JSON.stringify(path.layout.xaxis.range)].join(", ");
-})</script></body>"""
-    text = page(run(FakeSettings(), 3))
-    assert title_after(text.replace("</body>", zoom), tmp_path, 1200) == "1 to 2, true"

@@ -76,7 +76,7 @@ def test_the_page_holds_the_poses() -> None:
     true = np.array(motion.parts[0].poses)[:, 1]
     np.testing.assert_allclose(part["middle"] + part["half"] * poses[:, :3], true[:, :3], atol=part["half"] / 3e4)
     np.testing.assert_allclose(poses[:, 3:], true[:, 3:], atol=4e-5)
-    np.testing.assert_allclose(unpacked(part, "times", "<f4"), motion.parts[0].times, atol=1e-6)
+    np.testing.assert_allclose(unpacked(part, "times", "<f8"), motion.parts[0].times, atol=1e-6)
     points = unpacked(part, "points", "<i2").reshape(-1, part["count"], 3)
     assert (points[:, 1] == part["none"]).all() and (points[:, 2 + PATH :] == part["none"]).all()
     np.testing.assert_allclose(
@@ -148,7 +148,7 @@ def test_a_recorded_run_shows_what_its_recording_shows(tmp_path: Path) -> None:
     wb.simulate(robot, mpc, 1.0, out=tmp_path, settle_time=0.0)
     (part,) = data_of((tmp_path / "report.html").read_text())
     film = Film(read_recording(tmp_path))
-    times, moving = unpacked(part, "times", "<f4"), part["moving"]
+    times, moving = unpacked(part, "times", "<f8"), part["moving"]
     assert times.size == 10 and moving
     poses = unpacked(part, "poses", "<i2").reshape(times.size, -1, 7) / part["full"]
     points = part["middle"] + part["half"] * unpacked(part, "points", "<i2").reshape(times.size, -1, 3) / part["full"]

@@ -26,12 +26,15 @@ SIMULATED = frozenset(
     ("bases/common", "clearance", "control", "estimation", "kernel", "model", "mpc", "obstacles", "ocp", "robots", "runtime", "simulation", "solver",
      "stability", "tasks", "modules")
 )  # fmt: skip
-#: Modules beside the packages that have no part in it.
+#: Modules that have no part in it.
 NO_PART = frozenset(
     ("__init__.py", "__main__.py", "compare.py", "errors.py", "input_file.py", "interrupts.py", "logs.py", "output_file.py",
-     "registry.py", "reproduce.py", "result.py", "run_files.py", "run_index.py", "settings_table.py", "units.py", "yaml_file.py")
+     "registry.py", "reproduce.py", "result.py", "run_files.py", "run_index.py", "settings_table.py", "tasks/joint_figures.py", "units.py",
+     "yaml_file.py")
 )  # fmt: skip
 SWERVE, BALL = SIMULATED | {"bases/swerve", "studies/pankert2022"}, SIMULATED | {"bases/ball", "studies/minniti2019"}
+#: What stands behind a commit in what is said of it; packages that pages name, at most.
+MARK, MOST_NAMED = "; ", 4
 #: Where the README says that its figures are older than the code, and how.
 AGE, OLDER = re.compile(r"(<!--= age -->)(.*?)(<!--/-->)"), " (the code has changed since)"
 #: One of digits alone is a number unless it stands after the word; another project's stands after its name.
@@ -134,11 +137,11 @@ def age(table: Table, root: Path = ROOT) -> Iterator[str]:
     for commit in dict.fromkeys(COMMIT.findall(table.text)):
         files = changed(commit, root)
         if files is None:
-            yield f"of commit {commit}, which is not known here"
+            yield f"of commit {commit}{MARK}it is not known here"
             continue
         newer = [p for p in sorted(table.of & files.keys()) if any(code_changed(commit, n, root) for n in files[p])]
         said = f"changed since: {', '.join(newer)}" if newer else "nothing that it depends on has changed since"
-        yield f"of commit {commit}; {said}"
+        yield f"of commit {commit}{MARK}{said}"
 
 
 def is_old(table: Table, root: Path = ROOT) -> bool | None:
@@ -171,8 +174,20 @@ def setup(app: Any) -> dict[str, bool]:
 def _noted(name: str, source: list[str]) -> None:
     for table in TABLES:
         if table.page == f"docs/{name}.md":
-            note = "".join(f"\n\n*This table is {text}.*\n" for text in age(table))
-            source[0] = source[0].replace(table.last, table.last + note)
+            source[0] = source[0].replace(table.last, f"{table.last}\n\n{note(table)}\n")
+
+
+def note(table: Table, root: Path = ROOT) -> str:
+    """What stands below a table: a line for all of its commits of which the same is to be said, with few names of packages."""
+    commits: dict[str, list[str]] = {}
+    for text in age(table, root):
+        commit, _, said = text.removeprefix("of commit ").partition(MARK)
+        packages = said.removeprefix("changed since: ").split(", ")
+        if len(packages) > MOST_NAMED:
+            said = f"older than the code: {len(packages)} packages have changed since"
+        commits.setdefault(said, []).append(commit)
+    lines = (f"*Of commit{'s' * (len(c) > 1)} {', '.join(c)}: {said}.*" for said, c in commits.items())
+    return "\n\n".join(lines) if table.text.strip() else "*No runs are published here at present.*"
 
 
 if __name__ == "__main__":

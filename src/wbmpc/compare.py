@@ -195,15 +195,16 @@ def overlay(runs: Sequence[Run], names: list[str]) -> list[Plot]:
     plots = []
     for channel in [c for c in logs[0] if all({c, f"{c}.time"} <= log.keys() for log in logs)]:
         found = by_unit(_components(runs[0], channel)[1])
-        for unit, places in found.items():
-            by_run = [_lines(run, channel, places) for run in runs]
+        for own, places in found.items():
+            read = scale(own)
+            by_run, unit = [_lines(run, channel, places, read.factor) for run in runs], read.unit
             title = f"{channel}{f', {unit}' if len(found) > 1 else ''}{_left_out(places)}"
             if len(runs) == 2:
                 plots.append(Plot(title, "time [s]", with_unit(channel, unit), [*_pair(by_run, names)]))
                 continue
             for part in [p for p in by_run[0] if all(p in lines for lines in by_run)]:
                 pairs = enumerate(zip(by_run, names, strict=True))
-                lines = [Series(name, *own[part], color=k) for k, (own, name) in pairs]
+                lines = [Series(name, *shown[part], color=k) for k, (shown, name) in pairs]
                 label = with_unit(f"{channel} {part}".strip(), unit)
                 plots.append(Plot(f"{channel} {part}".strip(), "time [s]", label, lines))
     return plots
@@ -261,12 +262,12 @@ def difference_text(difference: float | None, first: float | None, unit: Scale) 
 def _pair(by_run: Sequence[dict[str, tuple[np.ndarray, np.ndarray]]], names: Sequence[str]) -> Iterator[Series]:
     """The lines of two runs: a color for each component, the second run dashed."""
     for k, (lines, run) in enumerate(zip(by_run, names, strict=True)):
-        for i, (part, (t, y)) in enumerate(lines.items()):
+        for part, (t, y) in lines.items():
             name = f"{part}, {run}" if part and k else part or run
-            yield Series(name, t, y, dashed=k == 1, color=i, signal=part)
+            yield Series(name, t, y, dashed=k == 1, color=None if part else 0, signal=part)
 
 
-def _lines(run: Run, channel: str, places: Sequence[int]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Times and values of a channel's components at ``places``, by their names; "" where the channel has one."""
+def _lines(run: Run, channel: str, places: Sequence[int], factor: float) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Times and values, times ``factor``, of a channel's components at ``places``, by their names; "" where the channel has one."""
     rows, t, parts = np.atleast_2d(run.log[channel].T), run.log[f"{channel}.time"], _components(run, channel)[0]
-    return {parts[i] if len(rows) > 1 else "": (t, rows[i]) for i in places[:MAX_LINES] if i < len(rows)}
+    return {parts[i] if len(rows) > 1 else "": (t, factor * rows[i]) for i in places[:MAX_LINES] if i < len(rows)}

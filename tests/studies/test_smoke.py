@@ -62,8 +62,8 @@ def test_swerve_follows_its_path(track, tmp_path: Path) -> None:  # type: ignore
     assert 1e-3 < m["hand_orientation_error_max"] < 0.1
     speeds = next(p for p in track.plots if p.title == "Joint speeds over their limits")
     assert [s.name for s in speeds.series] == ["leg", "steer", "wheel", "arm"]
-    assert all(s.y.min() >= 0.0 and s.y.max() < 1.1 for s in speeds.series)
-    assert all(s.y.max() > 0.01 for s in speeds.series[1:])
+    assert all(s.y.min() >= 0.0 and s.y.max() < 110.0 for s in speeds.series)  # %
+    assert all(s.y.max() > 1.0 for s in speeds.series[1:])
     assert track.mpc.rate_hz == 50.0
 
 

@@ -73,3 +73,43 @@ def test_a_page_of_many_metrics_draws_what_it_shows(monkeypatch: pytest.MonkeyPa
     summary.to_json()
     assert len(made) == 200 and len(drawn) == page.MAX_PLOTS
     assert "The plots of 176 more metrics are left out" in text and text.count("<h3>m199") == 1
+
+
+def cells(*figures: dict[str, list[float]]) -> tuple[Cell, ...]:
+    """Of one experiment, each with figures of two runs that completed."""
+    texts = (("completed",) * 2, ("",) * 2, ("",) * 2)
+    return tuple(
+        Cell(
+            str(k), "e", f"c{k}", "", "", {}, np.arange(2), texts[0], {n: np.array(v) for n, v in f.items()}, *texts[1:]
+        )
+        for k, f in enumerate(figures)
+    )
+
+
+def test_what_a_robot_cannot_have_is_not_measured_and_no_win() -> None:
+    """An arm has no path of its base: it was infinitely long, and any base's better. With a goal it still counts as missed."""
+    an_arm, base = cells({"error": [1.0, 2.0]}, {"error": [1.0, 2.0], "path": [3.0, np.nan]})
+    summary = Summary("t", (an_arm, base), {}, {}, {"e": ("error", "path")}, 4, {}, {})
+    assert summary.comparison(base, "path") is None and summary.comparison(base, "error") is not None
+    rows = page.metric_rows(summary, [an_arm, base], "path")
+    assert rows[0][1:] == ["0 of 2", "0 (0 to 65.8 %)", "not measured", *[""] * 7]
+    assert rows[1][1] == "1 of 2" and rows[1][3] == "3"
+    goal = {"0": {"path": {"paper": None, "goal": 5.0, "least": None}}}
+    judged = Summary("t", (an_arm, base), {}, goal, {"e": ("path",)}, 4, {}, {})
+    assert judged.spread(an_arm, "path").median == np.inf and judged.met(an_arm, "path") is False
+
+
+def test_a_larger_smallest_distance_is_better_and_last_digits_are_no_difference() -> None:
+    near, far, same = cells(
+        {"clearance_min": [0.1, 0.2]}, {"clearance_min": [0.2, 0.3]}, {"clearance_min": [0.1 + 1e-9, 0.2]}
+    )
+    summary = Summary("t", (near, far, same), {}, {}, {"e": ("clearance_min",)}, 6, {}, {})
+    found = [summary.comparison(cell, "clearance_min") for cell in (far, same)]
+    assert [c and c.text for c in found] == ["better", "no difference"] and summary.spread(
+        far, "clearance_min"
+    ).worst == 0.2
+
+
+def test_a_count_that_is_the_same_in_all_runs_is_not_drawn(tmp_path: Path) -> None:
+    summary = Summary("t", cells({"fell": [0.0, 0.0]}, {"fell": [0.0, 0.0]}), {}, {}, {"e": ("fell",)}, 4, {}, {})
+    assert "Plotly.newPlot(" not in page.study_page(summary, tmp_path) and "fell" in page.study_page(summary, tmp_path)

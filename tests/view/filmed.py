@@ -15,7 +15,9 @@ from wbmpc.view.session import system_of
 
 def record(folder: Path, *watchers: Any) -> Any:
     """Writes ``folder/run.mcap``, with other watchers before the recorder; returns the MPC."""
-    recorder = Recorder(folder / "run.mcap", {"run": {"experiment": "toy", "seed": 1}})
+    recorder = Recorder(
+        folder / "run.mcap", {"run": {"experiment": "toy", "seed": 1, "settings": '{"robot": "swerve-ur10"}'}}
+    )
     plant, controller, mpc, timing = system_of(load_robot("swerve-ur10"), 1).parts
     watch = Watch(None, (*watchers, recorder))
     ending = run_lockstep(plant, controller, mpc, timing, 1.0, lambda *_: None, watch)

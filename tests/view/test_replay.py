@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 import subprocess
 import sys
@@ -30,9 +31,6 @@ from wbmpc.simulation.lockstep import Ending, Running
 from wbmpc.view import render
 from wbmpc.view.replay import Film, write_page
 from wbmpc.view.snapshot import NUMBERS
-
-#: The robot's base in a page.
-BODY = "/map/bodies/base_link"
 
 
 class Truth:
@@ -114,26 +112,21 @@ def test_times_that_go_back_or_on_for_years_are_one_message(run: SimpleNamespace
         Film(recording)
     years: Any = SimpleNamespace(times=np.array([0.0, 4e9]), recording=recording)
     with pytest.raises(InputError, match=r"has 4e\+09 s; a page is of at most 7200 s"):
-        write_page(years, tmp_path / "page.html", 8080)
+        write_page(years, tmp_path / "page.html")
     film = Film(read_recording(run.folder))
     film.times = np.array([*film.times[:-1], 4e9])
     with pytest.raises(InputError, match=r"has 4e\+09 s; a clip is of at most 7200 s"):
         render.render(film, tmp_path / "clip.gif", (0.0, np.inf), (64, 48))
 
 
-def test_a_gap_of_hours_in_a_film_is_one_pause(run: SimpleNamespace, tmp_path: Path, monkeypatch: Any) -> None:
+def test_a_gap_of_hours_in_a_film_is_one_pause(run: SimpleNamespace) -> None:
     """A clock that is set forward during a run: as many pictures as without it, no matter how many would fit into the gap."""
-    pytest.importorskip("viser")
-    drawn: list[float] = []
-    snapshot = Film.snapshot
-    monkeypatch.setattr(Film, "snapshot", lambda film, t: drawn.append(t) or snapshot(film, t))
-    write_page(Film(read_recording(run.folder)), tmp_path / "page.html", free_port())
-    usual, drawn[:] = len(drawn), []
+    usual = len(run.film.motion().parts[0].times)
     recording = read_recording(run.folder)
     for topic in recording.topics.values():
         topic.times = [t + 7100.0 * (t > 0.5) for t in topic.times]
-    write_page(Film(recording), tmp_path / "page.html", free_port())
-    assert abs(len(drawn) - usual) <= 1 and drawn[-1] > 7100.0
+    times = Film(recording).motion().parts[0].times
+    assert abs(len(times) - usual) <= 1 and times[-1] > 7100.0
 
 
 @pytest.mark.parametrize(("kind", "labels"), [(".gif", True), (".gif", False), (".webp", True)])
@@ -199,41 +192,58 @@ def test_a_film_may_begin_at_any_time(run: SimpleNamespace, tmp_path: Path) -> N
         assert player._time.value == player._time.min == film.times[0] and player._time.max == film.times[-1]
     finally:
         player.server.stop()
-    film.times = film.times[:1]
-    write_page(film, tmp_path / "page.html", free_port())
-    assert (tmp_path / "page.html").stat().st_size > 100_000
+    write_page(film, tmp_path / "page.html")
+    (part,) = pictures(tmp_path / "page.html")
+    times = np.frombuffer(base64.b64decode(part["times"]))
+    np.testing.assert_allclose(times - late, run.film.motion().parts[0].times, atol=1e-5)
+
+
+def pictures(page: Path) -> list[dict[str, Any]]:
+    """What a page plays: its parts."""
+    found = re.search(r'<script type="application/json" class="data">(.*?)</script>', page.read_text(), re.DOTALL)
+    assert found
+    parts: list[dict[str, Any]] = json.loads(found[1])
+    return parts
 
 
 @pytest.fixture(scope="module")
 def page(run: SimpleNamespace) -> Path:
-    pytest.importorskip("viser")
     path = run.folder / "replay.html"
-    assert main(["replay", str(run.folder), "--html", str(path), "--port", str(free_port())]) == 0
+    with pytest.MonkeyPatch.context() as patch:  # a page needs no server
+        patch.setitem(sys.modules, "viser", None)
+        assert main(["replay", str(run.folder), "--html", str(path)]) == 0
     return path
 
 
-def test_the_page_holds_the_whole_film(page: Path) -> None:
-    msgpack = pytest.importorskip("msgspec").msgpack
-    zstandard = pytest.importorskip("zstandard")
-    assert re.findall(r"<title>(.*?)</title>", page.read_text())[0] != "Viser"
-    data = base64.b64decode(re.findall(r'__VISER_EMBED_DATA__="([^"]*)"', page.read_text())[0])
-    plain = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
-    content = msgpack.decode(plain[8 : 8 + int.from_bytes(plain[:8], "little")])
-    assert content["durationSeconds"] == pytest.approx(1.0, abs=0.06)
-    put = [(t, m) for t, m in content["messages"] if m["type"] == "SetPositionMessage"]
-    places = {name: [(t, np.array(m["position"])) for t, m in put if m["name"] == name] for name in ("/map", BODY)}
-    moved = [t for t, _ in places[BODY]]
-    assert len(moved) >= 15 and moved == sorted(moved)
-    # the world is carried back by as much as the robot goes, since nobody moves a page's camera
-    (_, first), (_, last), (_, back) = places[BODY][0], places[BODY][-1], places["/map"][-1]
-    assert np.linalg.norm((last - first)[:2]) > 0.02
-    np.testing.assert_allclose((last + back)[:2], first[:2], atol=0.01)
+def test_the_page_plays_the_film(run: SimpleNamespace, page: Path) -> None:
+    """Truth: MuJoCo's poses; where the end effector was, in the recording; ten pictures a second."""
+    (part,) = pictures(page)
+    times, full = np.frombuffer(base64.b64decode(part["times"])), part["full"]
+    np.testing.assert_allclose(np.diff(times), 0.1, atol=0.021)
+    number = lambda key: np.frombuffer(base64.b64decode(part[key]), "<i2")
+    bodies = number("poses").reshape(len(times), -1, 7) / full
+    for k in (0, len(times) // 2):
+        true = run.truth.poses[round(float(times[k]), 6)][part["moving"], :3]
+        np.testing.assert_allclose(part["middle"] + part["half"] * bodies[k, :, :3], true, atol=1e-3)
+    points = part["middle"] + part["half"] * number("points").reshape(len(times), -1, 3) / full
+    taken = run.film.snapshot(times[-1])["trail"]
+    np.testing.assert_allclose(points[-1, 0], taken[np.isfinite(taken).all(axis=1)][-1], atol=1e-3)
+    np.testing.assert_allclose(points[0, 1], run.film.snapshot(0.0)["goal"][:3], atol=1e-3)
 
 
-def test_the_page_draws_without_a_network(page: Path) -> None:
+def test_plots_of_the_page_go_with_its_time(page: Path) -> None:
+    """In a browser without a network: the replay goes to the time of a click on a plot, and all show it."""
     with browser() as tab:
         tab.page.context.set_offline(True)
-        tab.open(page.as_uri())
+        tab.page.goto(page.as_uri())
+        titles = tab.page.locator(".plots h3").all_text_contents()
+        assert {"End effector error, estimated frame", "Solve times", "Vertical contact forces"} <= set(titles)
+        assert {"Joint speeds: arm", "Joint speeds: wheel"} <= set(titles)  # 17 lines, and colors for eight
+        tab.page.evaluate(
+            "document.querySelectorAll('.js-plotly-plot')[1].emit('plotly_click', {xvals: [0.5], points: []})"
+        )
+        assert tab.page.locator(".replay output").text_content().startswith("0.5 s of")
+        assert tab.page.locator(".cursor:not([hidden])").count() == len(titles) - 1  # all but the path
         assert tab.errors == [] and tab.outside == []
 
 

@@ -135,23 +135,20 @@ def replay(
     from wbmpc.recording.reader import read_recording
     from wbmpc.view.replay import Film, Player, write_page
 
+    if html is not None:
+        new_file("--html", html, html, force)
+        write_page(Film(read_recording(file)), html)
+        typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
+        return
     if find_spec("viser") is None:
         raise InputError("replay: this needs viser: pip install 'wbmpc[viz]'")
     if not 0 < port < 65536:
         raise InputError(f"--port: must be 1 to 65535, got {port}")
     access = Access.of(host, not no_token)
-    if html is not None:
-        new_file("--html", html, html, force)
     film = Film(read_recording(file))
     with redirect_stdout(io.StringIO()):  # the server's banner
-        if html is not None:
-            write_page(film, html, port)
-        else:
-            warn(access.host)
-            player = Player(film, access, port)
-    if html is not None:
-        typer.echo(json.dumps({"page": str(html)}) if as_json else f"the replay is in {html}")
-        return
+        warn(access.host)
+        player = Player(film, access, port)
     print_address(player.url, as_json, "replay")
     with suppress(KeyboardInterrupt):
         player.run()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +15,9 @@ import numpy as np
 class Series:
     """One line of a plot: its ``name``, ``x`` (n) and ``y`` (n) in the units of the plot's labels, whether it is ``dashed``.
 
-    Lines of the same ``color`` (a number) look alike; left out: each has its own, and "NAME, reference", "NAME, planned" and the like
-    have that of "NAME". ``signal``: what the line is of, where that is not in its name: lines of one signal share an entry of the
-    legend. ``limits``: lowest and highest value that ``y`` may have (infinite: none), drawn dotted.
+    Lines of the same ``color`` (a number) look alike; left out: each has its own, the same in all plots of a page, and "NAME, reference",
+    "NAME, planned" and the like have that of "NAME". ``signal``: what the line is of, where that is not in its name: lines of one signal
+    share an entry of the legend. ``limits``: lowest and highest value that ``y`` may have (infinite: none), drawn dotted.
     """
 
     name: str
@@ -100,29 +100,52 @@ def _signal(line: Series) -> str:
     return signal if signal and kind in _KINDS else line.name
 
 
-def _colors(lines: Sequence[Series]) -> list[str]:
-    """A color for each line: what a name means keeps its color in all plots, and "x, reference" has that of "x"."""
+def palette(plots: Iterable[Plot | Drawing]) -> dict[str, int]:
+    """A color, as a number, for each signal of a page: the same in all plots, other than those of its neighbors while there are enough."""
+    chosen, beside = dict[str, int](), dict[str, set[str]]()
+    for plot in plots:
+        if isinstance(plot, Plot):
+            keys = _keys(plot.series)
+            chosen |= {k: line.color for k, line in zip(keys, plot.series, strict=True) if line.color is not None}
+            for key in keys:
+                beside.setdefault(key, set()).update(keys)
+    chosen |= {key: _MEANINGS[key] for key in beside if key in _MEANINGS and key not in chosen}
+    for key, neighbors in beside.items():
+        if key not in chosen:
+            taken = [chosen[k] % len(COLORS) for k in neighbors if k in chosen]
+            chosen[key] = min(range(len(COLORS)), key=taken.count)
+    return chosen
+
+
+def _keys(lines: Sequence[Series]) -> list[str]:
+    """By what lines of a plot have their colors: "x" of "base.x, reference", unless another part of it has an "x" too."""
     signals = [_signal(line) for line in lines]
-    free = (c for c in range(len(COLORS)) if c not in _MEANINGS.values() or not set(signals) & set(_MEANINGS))
-    chosen = {name: line.color for name, line in zip(signals, lines, strict=True) if line.color is not None}
-    for name in dict.fromkeys(signals):
-        if name not in chosen:
-            chosen[name] = _MEANINGS[name] if name in _MEANINGS else next(free, len(chosen))
+    short = {signal: signal.rpartition(".")[2] or signal for signal in signals}
+    return signals if len(set(short.values())) < len(short) else [short[signal] for signal in signals]
+
+
+def _colors(lines: Sequence[Series], chosen: Mapping[str, int]) -> list[str]:
+    """A color for each line, of those ``chosen`` for a page."""
+    keys = _keys(lines)
+    own = {key: line.color for key, line in zip(keys, lines, strict=True) if line.color is not None}
     return [
-        COLORS[(chosen[name] if line.color is None else line.color) % len(COLORS)]
-        for name, line in zip(signals, lines, strict=True)
+        COLORS[(own.get(key, chosen[key]) if line.color is None else line.color) % len(COLORS)]
+        for key, line in zip(keys, lines, strict=True)
     ]
 
 
-def figure(plot: Plot | Drawing) -> str:
-    """A plot as HTML that the page's plotting library draws, with a line about its dashed and dotted lines; a drawing as it is."""
+def figure(plot: Plot | Drawing, colors: Mapping[str, int] | None = None) -> str:
+    """A plot as HTML that the page's plotting library draws, with a line about its dashed and dotted lines; a drawing as it is. ``colors``:
+    the page's :func:`palette`."""
     if isinstance(plot, Drawing):
         return plot.svg
     from plotly.io import to_html
 
     options = {"displaylogo": False, "responsive": True, "displayModeBar": "hover"}
     # plain dictionaries, not checked: checking takes ten times as long as writing
-    drawn = str(to_html(plotly_figure(plot), full_html=False, include_plotlyjs=False, config=options, validate=False))
+    drawn = str(
+        to_html(plotly_figure(plot, colors), full_html=False, include_plotlyjs=False, config=options, validate=False)
+    )
     about = hint(plot)
     return f'<p class="hint">{html.escape(about)}</p>{drawn}' if about else drawn
 
@@ -152,11 +175,11 @@ def _finite(limits: tuple[float, float] | None) -> list[float]:
     return [] if limits is None else [float(b) for b in limits if math.isfinite(b)]
 
 
-def plotly_figure(plot: Plot) -> dict[str, Any]:
-    """A plot as Plotly's ``data`` and ``layout``."""
+def plotly_figure(plot: Plot, chosen: Mapping[str, int] | None = None) -> dict[str, Any]:
+    """A plot as Plotly's ``data`` and ``layout``; in the colors ``chosen`` for a page, or for itself."""
     data: list[dict[str, Any]] = []
     shown: set[str] = set()
-    colors = _colors(plot.series)
+    colors = _colors(plot.series, palette([plot]) if chosen is None else chosen)
     for line, color in zip(plot.series, colors, strict=True):
         x, y = _thin(np.asarray(line.x, float), np.asarray(line.y, float), plot.equal_axes)
         style = {"width": 1.6, "color": color, "dash": "dash" if line.dashed else "solid"}
@@ -208,12 +231,13 @@ def _range(plot: Plot) -> list[float] | None:
 
 def _layout(plot: Plot) -> dict[str, Any]:
     axis = lambda label: {"title": {"text": html.escape(label)}}
-    names = list(dict.fromkeys(_signal(line) for line in plot.series))
+    rows = _legend_rows(list(dict.fromkeys(_signal(line) for line in plot.series)))
     layout: dict[str, Any] = {
         "xaxis": axis(plot.x_label), "yaxis": axis(plot.y_label),
-        "template": template(), "height": 320 + 20 * _legend_rows(names),
-        "margin": {"l": 60, "r": 16, "t": 36, "b": 88},
-        "legend": {"orientation": "h", "y": -0.25, "yanchor": "top"},
+        "template": template(), "height": 320 + 20 * rows,
+        "margin": {"l": 60, "r": 16, "t": 36, "b": 68 + 20 * rows},
+        # from the lower edge: below the axis' title, however high the plot is
+        "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"},
         "font": {"family": "system-ui, sans-serif", "size": 12},
     }  # fmt: skip
     if plot.equal_axes:

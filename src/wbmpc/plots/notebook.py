@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.plots.figures import Plot, Series, hint, plotly_figure
+from wbmpc.plots.figures import Plot, Series, hint, palette, plotly_figure
 from wbmpc.units import by_unit, with_unit
 
 #: Height of a plot in a figure [pixels].
@@ -50,8 +50,9 @@ def figure(plots: Sequence[Plot]) -> Any:
     made: Figure = make_subplots(
         rows=max(len(plots), 1), cols=1, subplot_titles=titles, vertical_spacing=0.35 / max(len(plots), 1)
     )
+    colors = palette(plots)
     for row, plot in enumerate(plots, start=1):
-        drawn = plotly_figure(plot)
+        drawn = plotly_figure(plot, colors)
         for line in drawn["data"]:
             group = f"{row}: {line.get('legendgroup', line['name'])}"
             made.add_trace({**line, "legend": f"legend{row if row > 1 else ''}", "legendgroup": group}, row=row, col=1)

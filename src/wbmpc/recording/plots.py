@@ -99,14 +99,17 @@ def _end_effector_error(recording: Recording) -> Plot | None:
 
 
 def _joint_speeds(recording: Recording) -> list[Plot]:
+    """A plot for each group of joints and unit: all at once are more than there are colors."""
     if "/joint_states" not in recording.topics:
         return []
-    table, about, found = recording.table("/joint_states"), Columns(recording), dict[str, list[Series]]()
+    table, about, found = recording.table("/joint_states"), Columns(recording), dict[tuple[str, str], list[Series]]()
     for name, column in table.columns.items():
         if name.startswith("velocity."):
             read = scale(about.unit("/joint_states", name, len(table.columns)))
-            found.setdefault(read.unit, []).append(Series(name[9:], table.times, read.factor * column))
-    return [Plot("Joint speeds", "time [s]", with_unit("speed", unit), lines) for unit, lines in found.items()]
+            group = next((f": {g}" for g, names in about.groups.items() if name[9:] in names), "")
+            found.setdefault((group, read.unit), []).append(Series(name[9:], table.times, read.factor * column))
+    plots = found.items()
+    return [Plot(f"Joint speeds{group}", "time [s]", with_unit("speed", unit), lines) for (group, unit), lines in plots]
 
 
 def _solve_times(recording: Recording) -> Plot | None:

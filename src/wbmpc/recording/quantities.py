@@ -49,12 +49,15 @@ _CHANNELS = (
 #: What the entries of arrays are called whatever the robot.
 _AXES = {"gyro": ("x", "y", "z"), "accel": ("x", "y", "z"), "force": ("x", "y", "z")}
 
+#: Groups of joints by the part of a topic that says what holds them.
+_LOCKED = {"brake": "leg"}
+
 
 class Columns:
-    """Names and units of what a recording's topics hold; "" for a unit that is not known."""
+    """Names and units of what a recording's topics hold; "" for a unit that is not known. ``groups`` of joints, where the robot is known."""
 
     def __init__(self, recording: Recording) -> None:
-        self._topics, self._groups = recording.topics, joint_groups(recording.settings)
+        self._topics, self.groups = recording.topics, joint_groups(recording.settings)
         self._units: Mapping[str, str] = recording.metadata.get(JOINT_UNITS, {})
         #: Unit of what turns or slides without being a joint of the simulated world: known where nothing slides.
         self._other = "rad" if set(self._units.values()) == {"rad"} else ""
@@ -63,13 +66,13 @@ class Columns:
         """What a ``column`` of a topic with ``count`` numbers is called."""
         if self._topics[topic].kind == "sensor_msgs/JointState":
             return column.partition(".")[2]
-        return entry_name(topic, column, count, self._groups)
+        return entry_name(topic, column, count, self.groups)
 
     def unit(self, topic: str, column: str, count: int) -> str:
         """The unit of a ``column`` of a topic with ``count`` numbers."""
         kind = self._topics[topic].kind
         position = self._units.get(self.name(topic, column, count), self._other)
-        return column_unit(topic, kind, column, position, {"arm", WHEELS, *self._groups})
+        return column_unit(topic, kind, column, position, {"arm", WHEELS, *self.groups})
 
 
 def column_unit(topic: str, kind: str, column: str, position: str = "", groups: Container[str] = ()) -> str:
@@ -123,6 +126,6 @@ def entry_name(topic: str, column: str, count: int, joints: Mapping[str, tuple[s
     names = (
         torques
         if part in ("torque", "position", "speed", "stiffness", "damping")
-        else joints.get(part, _AXES.get(part, ()))
+        else joints.get(_LOCKED.get(part, part), _AXES.get(part, ()))
     )
     return names[int(found[1])] if len(names) == count else column

@@ -84,7 +84,7 @@
   // ---- a part of the run
   const prepared = part => {
     if (part.at) return part;
-    part.at = new Float32Array(bytes(part.times)); part.flat = new Int16Array(bytes(part.poses)); part.dots = new Int16Array(bytes(part.points));
+    part.at = new Float64Array(bytes(part.times)); part.flat = new Int16Array(bytes(part.poses)); part.dots = new Int16Array(bytes(part.points));
     part.drawn = part.shapes.map(s => ({ ...s, ...buffer(triangles(s), [3, 3]) })).sort((a, b) => b.color[3] - a.color[3]);
     const place = (k, i) => { const at = 3 * (k * part.count + i);
       return part.dots[at] === part.none ? null : [0, 1, 2].map(j => part.middle[j] + part.half * part.dots[at + j] / part.full) };

@@ -71,7 +71,7 @@ def _part(part: Part) -> dict[str, Any]:
     crowded = sum(len(shape["faces"]) for shape in part.shapes) > 3 * TRIANGLES
     return {
         "name": part.name, "robot": part.robot, "middle": middle.tolist(), "half": half, "full": _FULL, "none": _NONE,
-        "times": _packed(np.array(part.times, "<f4")), "bodies": poses[0].round(6).tolist(), "moving": np.flatnonzero(moves).tolist(),
+        "times": _packed(np.array(part.times, "<f8")), "bodies": poses[0].round(6).tolist(), "moving": np.flatnonzero(moves).tolist(),
         "poses": _packed(whole(moving)), "points": _packed(whole((points - middle) / half)), "count": points.shape[1],
         "shapes": [_shape(shape, crowded) for shape in part.shapes if shape["kind"] != "plane"],
     }  # fmt: skip

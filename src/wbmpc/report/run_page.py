@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.plots.figures import figure
+from wbmpc.plots.figures import figure, palette
 from wbmpc.report.document import document, named, table
 from wbmpc.report.provenance import commit, versions
 from wbmpc.report.replay import replay
@@ -185,8 +185,9 @@ def plots_page(title: str, about: str, plots: Sequence[Plot], before: str = "") 
 
 
 def _plots(plots: Sequence[Plot | Drawing]) -> str:
+    colors = palette(plots)
     cards = (
-        f'<div class="card {"wide" if p.equal_axes else ""}"><h3>{html.escape(p.title)}</h3>{figure(p)}</div>'
+        f'<div class="card {"wide" if p.equal_axes else ""}"><h3>{html.escape(p.title)}</h3>{figure(p, colors)}</div>'
         for p in plots
     )
     return f'<div class="plots">{"".join(cards)}</div>'

@@ -37,8 +37,9 @@ def study_page(summary: Summary, beside: Path, definitions: Mapping[str, Definit
     sources = "; ".join(f"{k} {', '.join(v)}" for k, v in summary.sources.items() if v and k != "code")
     about = f"{summary.finished} of {summary.planned} runs; {failed} of them did not complete. {sources}."
     note = (
-        "A run that did not complete counts as infinitely bad in every figure. Intervals: bootstrap of the median, Wilson for "
-        "failures, 95 %. Differences are paired: median over equal seeds, against the first row or the named condition."
+        "A run that did not complete counts as infinitely bad in every figure, and one without a figure in those with a goal. "
+        "Intervals: bootstrap of the median, Wilson for failures, 95 %. Differences are paired: median over equal seeds, against the "
+        "first row or the named condition."
     )
     several = len(summary.sources.get("code", ())) > 1
     warning = '<div class="card summary bad">The runs are of different states of the code.</div>' if several else ""
@@ -83,9 +84,12 @@ def metric_rows(summary: Summary, cells: Sequence[Cell], metric: str) -> list[li
         s, target, compared = (summary.spread(c, metric), summary.target(c, metric), summary.comparison(c, metric))
         goal = goal_text(Metric(s.median, "", goal=target["goal"], least=target["least"]), shown)
         met = {True: "reached", False: "missed", None: ""}[summary.met(c, metric)]
-        middle = with_interval(s.median, s.low, s.high, shown)
-        rows.append([c.label, str(s.count), rate_text(c.failures), middle, *comparison_cells(compared, shown), goal, met,
-                     *map(shown.text, (s.p5, s.p95, s.worst))])  # fmt: skip
+        middle = with_interval(s.median, s.low, s.high, shown) if s.count else "not measured"
+        runs = str(s.count) if s.count == len(c.outcomes) else f"{s.count} of {len(c.outcomes)}"
+        ends = [shown.text(v) if s.count else "" for v in (s.p5, s.p95, s.worst)]
+        rows.append(
+            [c.label, runs, rate_text(c.failures), middle, *comparison_cells(compared, shown), goal, met, *ends]
+        )
     return rows
 
 
@@ -139,8 +143,9 @@ def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[s
     values = [
         shown.factor * np.where(c.accepted, c.figures.get(metric, np.full(c.seeds.size, np.nan)), np.nan) for c in cells
     ]
-    if not any(np.isfinite(v).any() for v in values):
-        return []
+    together = np.concatenate(values)
+    if np.unique(together[np.isfinite(together)]).size < 2:
+        return []  # nothing was measured, or nothing differs
     label = with_unit(metric, shown.unit)
     goals = {goal for c in cells if (goal := summary.target(c, metric)["goal"]) is not None}
     few = len(cells) <= MAX_PAIRED
@@ -152,8 +157,7 @@ def _plots(summary: Summary, cells: Sequence[Cell], metric: str) -> list[tuple[s
     ]
     if len(numeric) >= 2 and len(cells) >= 4:
         drawn += [
-            (f"{metric}, medians{f': {n}' if n else ''}", f, False)
-            for n, f in _heat_maps(cells, values, numeric[:2], label)
+            (f"{label}, medians{f': {n}' if n else ''}", f, False) for n, f in _heat_maps(cells, values, numeric[:2])
         ]
     elif len(numeric) == 1 and len(cells) > 2:
         drawn.append((f"{metric} over {numeric[0]}", _scatter(cells, values, numeric[0], label), False))
@@ -194,10 +198,9 @@ def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: st
     """Every run a point on its box, from the first combination down; the goals dashed."""
     import plotly.graph_objects as go
 
-    figure, lines = go.Figure(), 1
-    for c, v in zip(cells, values, strict=True):
-        keep, name = np.isfinite(v), _broken(c.label) if len(cells) <= MAX_PAIRED else html.escape(c.label)
-        lines = max(lines, 1 + name.count("<br>"))
+    figure, names = go.Figure(), [(_broken if len(cells) <= MAX_PAIRED else html.escape)(c.label) for c in cells]
+    for c, v, name in zip(cells, values, names, strict=True):
+        keep = np.isfinite(v)
         figure.add_box(
             x=v[keep].tolist(), name=name, boxpoints="all", jitter=0.5, pointpos=0, line={"width": 1.2},
             marker={"color": _BLUE, "size": 4}, text=[f"seed {s}" for s in c.seeds[keep]],
@@ -205,7 +208,13 @@ def _distribution(cells: Sequence[Cell], values: Sequence[np.ndarray], label: st
     for goal in goals:
         figure.add_vline(x=goal, line={"dash": "dash", "width": 1, "color": "#7a7a7a"})
     figure.update_yaxes(autorange="reversed")
-    return figure_html(figure, label, "", max(360, 100 + (8 + 15 * lines) * len(cells)))
+    return figure_html(figure, label, "", _height(names))
+
+
+def _height(names: Sequence[str]) -> int:
+    """Of a figure with a row for each of the ``names`` [pixels]."""
+    lines = max(1 + name.count("<br>") for name in names)
+    return max(360, 100 + (8 + 15 * lines) * len(names))
 
 
 def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> str:
@@ -219,15 +228,14 @@ def _pairs(cells: Sequence[Cell], values: Sequence[np.ndarray], label: str) -> s
     figure = go.Figure()
     for seed, line in list(by_seed.items())[:MAX_FAILURES]:
         figure.add_scatter(
-            x=names, y=line, name=f"seed {seed}", mode="lines+markers", opacity=0.55,
+            x=line, y=names, name=f"seed {seed}", mode="lines+markers", opacity=0.55,
             line={"width": 1, "color": _BLUE}, marker={"size": 4},
         )  # fmt: skip
-    return figure_html(figure, "", label)
+    figure.update_yaxes(autorange="reversed")
+    return figure_html(figure, label, "", _height(names))
 
 
-def _heat_maps(
-    cells: Sequence[Cell], values: Sequence[np.ndarray], keys: Sequence[str], label: str
-) -> list[tuple[str, str]]:
+def _heat_maps(cells: Sequence[Cell], values: Sequence[np.ndarray], keys: Sequence[str]) -> list[tuple[str, str]]:
     """Medians over two settings: name and map of each of what else there is (conditions, robots, other settings), in the same colors."""
     medians = [float(np.nanmedian(v)) if np.isfinite(v).any() else None for v in values]
     known = [m for m in medians if m is not None]
@@ -235,13 +243,11 @@ def _heat_maps(
     found = []
     for name in groups:
         mine = [(c, m) for c, m in zip(cells, medians, strict=True) if _others(c, keys) == name]
-        found.append((name, _heat_map(mine, keys, label, (min(known), max(known)))))
+        found.append((name, _heat_map(mine, keys, (min(known), max(known)))))
     return found
 
 
-def _heat_map(
-    medians: Sequence[tuple[Cell, float | None]], keys: Sequence[str], label: str, span: tuple[float, float]
-) -> str:
+def _heat_map(medians: Sequence[tuple[Cell, float | None]], keys: Sequence[str], span: tuple[float, float]) -> str:
     import plotly.graph_objects as go
 
     x, y = (sorted({c.varied[key] for c, _ in medians}) for key in keys)
@@ -249,9 +255,10 @@ def _heat_map(
     z = [[at.get((left, below)) for left in x] for below in y]
     names = [[f"{v:g}" for v in axis] for axis in (x, y)]
     figure = go.Figure(
-        go.Heatmap(x=names[0], y=names[1], z=z, zmin=span[0], zmax=span[1], colorscale="Viridis", texttemplate="%{z:.3~g}",
-                   colorbar={"title": {"text": html.escape(label), "side": "right"}})
-    )  # fmt: skip
+        go.Heatmap(
+            x=names[0], y=names[1], z=z, zmin=span[0], zmax=span[1], colorscale="Viridis", texttemplate="%{z:.3~g}"
+        )
+    )
     figure.update_xaxes(type="category")
     figure.update_yaxes(type="category")
     return figure_html(figure, keys[0], keys[1])

@@ -11,6 +11,8 @@ from scipy import stats
 
 #: Share of the intervals, and resamples of a bootstrap.
 CONFIDENCE, RESAMPLES = 0.95, 2000
+#: A difference that is a smaller share of a figure is of its last digits.
+_ROUNDING = 1e-6
 #: Values that are drawn at a time.
 _PART = 200_000
 
@@ -93,7 +95,9 @@ def interval(values: np.ndarray, statistic: Callable[..., np.ndarray] = _median)
 
 
 def spread(values: np.ndarray, largest_is_worst: bool = True) -> Spread:
-    """Of ``values`` (n,), n ≥ 1, which may be infinite."""
+    """Of ``values`` (n,), which may be infinite; nan of none."""
+    if not values.size:
+        return Spread(0, *(6 * [float("nan")]))
     low, high = interval(values)
     worst = values.max() if largest_is_worst else values.min()
     return Spread(
@@ -108,9 +112,10 @@ def failure_rate(failed: int, count: int) -> Rate:
 
 
 def paired(these: np.ndarray, others: np.ndarray, smaller_is_better: bool = True) -> Paired:
-    """Of values (n,) on the same seeds, n ≥ 1; an infinite one loses against a finite one, two of them are equal."""
+    """Of values (n,) on the same seeds, n ≥ 1; an infinite one loses against a finite one, two of them are
+    equal, and so are figures whose first six digits are."""
     with np.errstate(invalid="ignore"):
-        difference = np.where(these == others, 0.0, these - others)
+        difference = np.where(np.isclose(these, others, rtol=_ROUNDING, atol=0.0), 0.0, these - others)
     better = difference < 0.0 if smaller_is_better else difference > 0.0
     wins, losses = int(better.sum()), int((difference != 0.0).sum() - better.sum())
     p_value = float(stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -50,10 +51,12 @@ class Cell:
         """Runs that are no success."""
         return failure_rate(int((~self.accepted).sum()), len(self.outcomes))
 
-    def judged(self, metric: str, largest_is_worst: bool = True) -> np.ndarray:
-        """The metric's values (n,); a run that is no success, or has no such figure, is infinitely bad."""
+    def judged(self, metric: str, largest_is_worst: bool = True, needed: bool = True) -> np.ndarray:
+        """The metric's values (n,); a run that is no success is infinitely bad, and so is one without a figure that is ``needed``. Of
+        another one it has nan."""
         values = self.figures.get(metric, np.full(self.seeds.size, np.nan))
-        return np.where(self.accepted & ~np.isnan(values), values, np.inf if largest_is_worst else -np.inf)
+        bad = ~self.accepted | (np.isnan(values) & needed)
+        return np.where(bad, np.inf if largest_is_worst else -np.inf, values)
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,17 @@ class Summary:
         return self.targets.get(cell.key, {}).get(metric, _NONE)
 
     def large_is_bad(self, cell: Cell, metric: str) -> bool:
-        """Whether large values are bad: not those of ``larger_is_better``, nor those whose only goal is a minimum."""
+        """Whether large values are bad: not those of ``larger_is_better``, nor those whose only goal is a minimum, nor smallest distances
+        and loads without a goal."""
         target = self.target(cell, metric)
-        return metric not in self.larger_is_better and (target["least"] is None or target["goal"] is not None)
+        smallest = target["least"] is not None or re.search("_min(_|$)", metric)
+        return metric not in self.larger_is_better and (not smallest or target["goal"] is not None)
+
+    def _judged(self, cell: Cell, metric: str) -> np.ndarray:
+        """Values (n,) of a metric; nan where a run that is a success has none, and no goal asks for it: an arm has no base."""
+        target = self.target(cell, metric)
+        needed = target["goal"] is not None or target["least"] is not None
+        return cell.judged(metric, self.large_is_bad(cell, metric), needed)
 
     def spread(self, cell: Cell, metric: str) -> Spread:
         """Computed once: tables, pages and plots ask for it again."""
@@ -93,8 +104,8 @@ class Summary:
         return self._spreads[cell.key, metric]
 
     def _spread(self, cell: Cell, metric: str) -> Spread:
-        bad = self.large_is_bad(cell, metric)
-        return spread(cell.judged(metric, bad), bad)
+        values = self._judged(cell, metric)
+        return spread(values[~np.isnan(values)], self.large_is_bad(cell, metric))
 
     def met(self, cell: Cell, metric: str) -> bool | None:
         """Whether the 95 % value reaches the goal (the 5 % value, a smallest one); None without a goal."""
@@ -114,7 +125,7 @@ class Summary:
         return None if found is cell else found
 
     def comparison(self, cell: Cell, metric: str) -> Paired | None:
-        """With its reference on the seeds that both have; None without a reference, or such seeds."""
+        """With its reference on the seeds for which both have a figure; None without a reference, or such seeds."""
         if (cell.key, metric) not in self._compared:
             self._compared[cell.key, metric] = self._comparison(cell, metric)
         return self._compared[cell.key, metric]
@@ -124,10 +135,9 @@ class Summary:
         if other is None:
             return None
         _, mine, its = np.intersect1d(cell.seeds, other.seeds, assume_unique=True, return_indices=True)
-        if not mine.size:
-            return None
-        bad = self.large_is_bad(cell, metric)
-        return paired(cell.judged(metric, bad)[mine], other.judged(metric, bad)[its], bad)
+        these, others = self._judged(cell, metric)[mine], self._judged(other, metric)[its]
+        both = ~np.isnan(these) & ~np.isnan(others)
+        return paired(these[both], others[both], self.large_is_bad(cell, metric)) if both.any() else None
 
     def to_json(self) -> dict[str, Any]:
         """The object that ``--json`` prints; figures that are not finite are null."""

@@ -134,29 +134,23 @@ class JointRecord:
         log, limits = self._log, self._robot.limits
         t, planned = log.times("state_planned"), log.array("state_planned")
         state = self._state(t, planned.shape[1])
-        lines = [
-            Series(name, t, outside(rows, limits.state_lower, limits.state_upper))
-            for name, rows in (("state", state), ("state, planned", planned))
-        ]
+        plots = []
+        for unit, places in by_unit(self._robot.state.units).items():
+            (factor, shown), (low, high) = _READ.get(unit, (1.0, unit)), (limits.state_lower, limits.state_upper)
+            at = [i for i in places if np.isfinite([low[i], high[i]]).any()]
+            if at:
+                lines = [
+                    Series(name, t, factor * outside(rows[:, at], low[at], high[at]), "planned" in name)
+                    for name, rows in (("state", state), ("state, planned", planned))
+                ]
+                plots.append(Plot("Outside of the joints' limits", "time [s]", with_unit("largest", shown), lines))
         violation = Series("constraints of the plan", t, log.array("plan_violation"))
-        return [
-            Plot(
-                "Outside of the joints' limits",
-                "time [s]",
-                "largest of all joints [m or rad]",
-                [lines[0], _dashed(lines[1])],
-            ),
-            Plot("Violation of the plan's constraints", "time [s]", "1-norm", [violation]),
-        ]
+        return [*plots, Plot("Violation of the plan's constraints", "time [s]", "1-norm", [violation])]
 
 
 def outside(rows: Array, lower: Array, upper: Array) -> Array:
     """By how much rows (n, k) are outside of limits (k): the largest of each row (n), 0 inside."""
     return np.maximum(np.maximum(lower - rows, rows - upper).max(axis=1, initial=-np.inf), 0.0)
-
-
-def _dashed(line: Series) -> Series:
-    return Series(line.name, line.x, line.y, dashed=True)
 
 
 def _pairs(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +13,18 @@ from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
-from wbmpc.recording.plots import end_effector_error, positions
+from wbmpc.plots.motion import Motion, picture_points
+from wbmpc.recording.plots import end_effector_error, overview, positions
 from wbmpc.recording.reader import Recording
+from wbmpc.report import plots_page
+from wbmpc.report.replay import replay
 from wbmpc.simulation.scene import Body, Contact, Scene
 from wbmpc.view.access import Access
 from wbmpc.view.rejection import Rejection
 from wbmpc.view.snapshot import NUMBERS, PLAN, REFERENCE, TRAIL, filled, ground, plain, status_text
 
-#: Pictures per second of a replay, and of a page (which has to hold them all).
-RATE, PAGE_RATE = 30.0, 20.0
+#: Pictures per second of a replay.
+RATE = 30.0
 #: Of a film that is one file [s]: its pictures are all in the memory of a browser.
 LONGEST = 7200.0
 #: Frames farther away than this [m] are of no robot, and nothing draws them.
@@ -31,7 +33,7 @@ FARTHEST = 1e6
 _STEP = 0.1
 #: How often it is looked whether a browser has come [s].
 WAIT = 0.2
-_NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
+_NOWHERE, _UNKNOWN = np.array([0.0, 0, 0, 1, 0, 0, 0]), np.full((1, 3), np.nan)
 #: Where what is not there at the moment is put: far away, under the floor.
 _HIDDEN = np.array([1e3, 1e3, -100.0, 1, 0, 0, 0])
 
@@ -75,6 +77,7 @@ class Film:
             raise InputError(f"{recording.path}: its scene was not written by wbmpc ({error})") from error
         if not recording.topics.get("/tf") or not scenes:
             raise InputError(f"{recording.path}: holds no frames (/tf) or no scene to draw")
+        self._scenes = scenes
         self._stages = Stages(tuple(t for t, _ in scenes), tuple(scene for _, scene in scenes))
         self.scene = self._stages.united
         self.times = np.array(recording["/tf"].times)
@@ -180,6 +183,20 @@ class Film:
             "numbers": np.array([float(values.get(name, np.nan)) for name in NUMBERS]),
             "goal": self._goal(t, drift), "base_goal": np.full(3, np.nan), **self.picture(t), **on_floor,
         }  # fmt: skip
+
+    def motion(self) -> Motion:
+        """What a page plays: a part for each world."""
+        found, starts = Motion(), np.array([t for t, _ in self._scenes])
+        worlds = np.array([latest(starts, t) for t in self.times])
+        for k, (_, scene) in enumerate(self._scenes):
+            found.begin(f"world {k + 1}" if len(self._scenes) > 1 else "", scene.plain())
+            for t in filter(found.due, self.times[worlds == k].tolist()):
+                frames, placed, seen = self._at(t), dict[str, Array](), self.picture(t)
+                poses = [self._placed(frames, body.name, placed) for body in scene.bodies]
+                goal = self._goal(t, frames.get("odom", ("map", _NOWHERE))[1])[:3]
+                paths = [p[np.isfinite(p).all(axis=1)] for p in (seen["end_effector_plan"], seen["base_plan"])]
+                found.add(t, np.array(poses), picture_points([*_UNKNOWN, *self._taken(t)][-1], goal, paths))
+        return found
 
     def _taken(self, t: float) -> Array:
         """Where the end effector was until t [s], (n, 3) in ``map``."""
@@ -294,28 +311,9 @@ def check_length(film: Film, length: float, what: str) -> None:
         raise InputError(f"{film.recording.path}: has {length:.6g} s; {what} is of at most {LONGEST:g} s")
 
 
-def write_page(film: Film, path: Path, port: int) -> None:
-    """The film as one page with a time bar, which needs no server and no network."""
-    from wbmpc.view.scene import ViewScene
-    from wbmpc.view.server import open_server
-
-    length = float(film.times[-1] - film.times[0])
-    check_length(film, length, "a page")
-    times = float(film.times[0]) + np.arange(int(length * PAGE_RATE + 1e-6) + 1) / PAGE_RATE
-    # no picture twice: where nothing was recorded for hours, one stands still
-    moments = times[np.flatnonzero(np.diff([latest(film.times, t) for t in times], prepend=-1))]
-    server, _ = open_server(Access.of("127.0.0.1"), port, film.recording.title)
-    try:
-        stage, serializer = ViewScene(server, film.scene, carried=True), None
-        for t, pause in zip(moments, np.diff(moments, append=times[-1] + 1.0 / PAGE_RATE), strict=True):
-            s = film.snapshot(float(t))
-            stage.show(s)
-            stage.follow(s["poses"])
-            if serializer is None:
-                serializer = server.get_scene_serializer()
-            serializer.insert_sleep(float(pause))
-        assert serializer is not None
-        title = f"<title>{html.escape(film.recording.title)}</title>"
-        write_text(path, serializer.as_html().replace("<title>Viser</title>", title, 1))
-    finally:
-        server.stop()
+def write_page(film: Film, path: Path) -> None:
+    """The film as one page that needs no server and no network: the robot, and plots that go with its time."""
+    check_length(film, float(film.times[-1] - film.times[0]), "a page")
+    recording = film.recording
+    about = f"Made of {recording.path.name}, {film.times[0]:.6g} to {film.times[-1]:.6g} s."
+    write_text(path, plots_page(recording.title, about, overview(recording), replay(film.motion())))

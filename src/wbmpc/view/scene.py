@@ -61,20 +61,13 @@ class _Camera:
 
 
 class ViewScene:
-    """Draws snapshots (see :mod:`wbmpc.view.snapshot`) of one scene on a server.
+    """Draws snapshots (see :mod:`wbmpc.view.snapshot`) of one scene on a server."""
 
-    ``carried``: the world moves, so that the robot stays where it is: for pages, whose cameras are fixed.
-    """
-
-    def __init__(self, server: viser.ViserServer, scene: Scene, carried: bool = False) -> None:
+    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
         self.server, self.scene = server, scene
         server.scene.set_up_direction("+z")
-        self._map = server.scene.add_frame("/map", show_axes=False) if carried else None
-        self._root = "/map" if carried else ""
-        server.scene.add_grid(
-            f"{self._root}/floor", 60.0, 60.0, cell_size=0.5, section_size=1.0, position=(0.0, 0.0, 0.001)
-        )
-        self._bodies = [server.scene.add_frame(f"{self._root}/bodies/{b.name}", show_axes=False) for b in scene.bodies]
+        server.scene.add_grid("/floor", 60.0, 60.0, cell_size=0.5, section_size=1.0, position=(0.0, 0.0, 0.001))
+        self._bodies = [server.scene.add_frame(f"/bodies/{b.name}", show_axes=False) for b in scene.bodies]
         for i, shape in enumerate(scene.shapes):
             self._shape(i, shape)
         self._followed: Array | None = None
@@ -90,7 +83,7 @@ class ViewScene:
         mesh = _mesh(shape)
         if mesh is None:
             return
-        parent = f"{self._root}/world" if shape.body == "world" else f"{self._root}/bodies/{shape.body}"
+        parent = "/world" if shape.body == "world" else f"/bodies/{shape.body}"
         pose, opacity = np.array(shape.pose), shape.color[3]
         if shape.kind == "sphere" and shape.size[0] > _BALL:
             opacity = min(opacity, _OPACITY)
@@ -119,8 +112,6 @@ class ViewScene:
             where = poses[self.scene.index, :3]
             camera.position, camera.look_at = tuple(where + camera_offset(poses, self.scene)), tuple(where)
             self._followed = place
-        if self._map is not None:
-            self._map.position = tuple(self._followed - place)
         elif _far(place - self._followed):
             moved, self._followed = place - self._followed, place
             camera.position = tuple(np.array(camera.position) + moved)
@@ -186,7 +177,7 @@ class ViewScene:
             if len(segments):
                 self._lines[name].points = segments
         elif len(segments):
-            self._lines[name] = add(f"{self._root}/over/{name}", segments, color, **style)
+            self._lines[name] = add(f"/over/{name}", segments, color, **style)
 
 
 def _drawable(points: Array) -> Any:

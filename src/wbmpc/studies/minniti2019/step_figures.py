@@ -126,11 +126,11 @@ def plots(log: Log, schedule: Schedule, robot: RobotModel) -> list[Plot]:
         Plot("End effector position error", "time [s]", "error [mm]", [Series("error", t, 1e3 * np.linalg.norm(end_effector - target, axis=1))]),
         Plot("Ball path", "x [m]", "y [m]", [Series("ball", state[:, 0], state[:, 1])], equal_axes=True),
         Plot("Base orientation", "time [s]", "angle [°]", [Series(n, t, degrees[:, i]) for i, n in enumerate(EULER)]),
-        Plot("Torques over their limits", "time [s]", "|torque| / limit", [
-            Series(n, t, np.abs(torque[:, i]) / limit[i]) for i, n in enumerate(robot.input.names[: torque.shape[1]])
+        Plot("Torques over their limits", "time [s]", "|torque| / limit [%]", [
+            Series(n, t, 100 * np.abs(torque[:, i]) / limit[i]) for i, n in enumerate(robot.input.names[: torque.shape[1]])
         ]),
-        Plot("Arm speeds over their limits", "time [s]", "|speed| / limit", [
-            Series(n, t, ratio[:, i]) for i, n in enumerate(robot.state.groups["arm_velocity"])
+        Plot("Arm speeds over their limits", "time [s]", "|speed| / limit [%]", [
+            Series(n, t, 100 * ratio[:, i]) for i, n in enumerate(robot.state.groups["arm_velocity"])
         ]),
         Plot("Estimated disturbance", "time [s]", "generalized force [N, N m]", [
             Series(n, t, log.array("disturbance")[:, i]) for i, n in enumerate(robot.parameters.groups["disturbance"])

@@ -100,8 +100,8 @@ def _plots(log: Log, tried: int) -> list[Plot]:
     return [
         Plot("Pushed sideways, brakes closed (Fig. 4b)", "time [s]", "displacement [mm]", sideways("closed")),
         Plot("Pushed sideways, brakes open (Fig. 4a)", "time [s]", "displacement [mm]", sideways("open")),
-        Plot("Slip of a closed brake", "torque about the hinge [N m]", "angle [mrad]", [
-            Series("left front leg", slip[:, 0], 1e3 * slip[:, 1]),
+        Plot("Slip of a closed brake", "torque about the hinge [N m]", "angle [°]", [
+            Series("left front leg", slip[:, 0], np.degrees(slip[:, 1])),
         ]),
         Plot("Pushed until it slides, brakes closed", "force [N]", "displacement [mm]", slides),
         Plot("Left front leg, its brake sound or stuck", "time [s]", "leg angle [°]", legs),

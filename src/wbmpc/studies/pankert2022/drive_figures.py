@@ -178,9 +178,12 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
         Plot("Base from above", "x [m]", "y [m]", [
             Series("true", base[:, 0], base[:, 1]), Series("reference", target[:, 0], target[:, 1], dashed=True),
         ], equal_axes=True),
-        Plot("Base pose (Fig. 7)", "time [s]", "x, y [m], yaw [rad]", [
-            *(Series(n, t, base[:, k]) for k, n in enumerate(("x", "y", "yaw"))),
-            *(Series(f"{n}, reference", t, target[:, k], dashed=True) for k, n in enumerate(("x", "y", "yaw"))),
+        Plot("Base position (Fig. 7)", "time [s]", "position [m]", [
+            *(Series(n, t, base[:, k]) for k, n in enumerate("xy")),
+            *(Series(f"{n}, reference", t, target[:, k], dashed=True) for k, n in enumerate("xy")),
+        ]),
+        Plot("Base yaw (Fig. 7)", "time [s]", "angle [°]", [
+            Series("yaw", t, np.degrees(base[:, 2])), Series("yaw, reference", t, np.degrees(target[:, 2]), dashed=True),
         ]),
         Plot("Leg angles (Fig. 7)", "time [s]", "angle [°]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),

@@ -85,7 +85,7 @@ class WheelWatch:
         t, loads = np.array(self.times), np.array(self.loads)
         return [
             Plot("Wheel loads", "time [s]", "force [N]", [Series(n, t, loads[:, i]) for i, n in enumerate(names)]),
-            Plot("Tilt of the base", "time [s]", "angle [rad]", [Series("tilt", t, np.array(self.tilt))]),
+            Plot("Tilt of the base", "time [s]", "angle [°]", [Series("tilt", t, np.degrees(self.tilt))]),
         ]
 
 

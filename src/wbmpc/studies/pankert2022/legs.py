@@ -30,6 +30,7 @@ from wbmpc.studies.pankert2022.metrics import rms
 from wbmpc.studies.pankert2022.mission import Mission, Reconfiguration
 from wbmpc.studies.pankert2022.mission_run import MissionRun
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
+from wbmpc.units import by_unit, scale, with_unit
 
 Array = np.ndarray
 NAME = "legs"
@@ -101,10 +102,10 @@ def plots(log: Log, robot: RobotModel) -> list[Plot | Drawing]:
         Plot("Base error", "time [s]", "error [mm]", [
             Series(n, t, e) for n, e in zip(("world", "estimated frame"), off, strict=True)
         ]),
-        Plot("Legs", "time [s]", "angle [rad], length [m]", [
-            *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),
-            *(Series(f"{n}, reference", t, goals[:, k], dashed=True) for k, n in enumerate(names)),
-        ]),
+        *(Plot("Legs", "time [s]", with_unit("position", read.unit), [
+            *(Series(names[k], t, read.factor * legs[:, k]) for k in places),
+            *(Series(f"{names[k]}, reference", t, read.factor * goals[:, k], dashed=True) for k in places),
+        ]) for unit, places in by_unit(robot.state.unit_groups["leg"]).items() for read in [scale(unit)]),
     ]  # fmt: skip
 
 

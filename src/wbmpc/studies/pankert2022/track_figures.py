@@ -59,7 +59,7 @@ def _speed_ratios(log: Log, robot: RobotModel) -> list[Series]:
     series, start = [], 0
     for group in (g for g in SPEEDS if g in robot.input):
         limit = robot.limits.input_upper[robot.input[group]]
-        series.append(Series(group, t, (speed[:, start : start + limit.size] / limit).max(axis=1)))
+        series.append(Series(group, t, 100 * (speed[:, start : start + limit.size] / limit).max(axis=1)))
         start += limit.size
     return series
 
@@ -82,5 +82,5 @@ def plots(log: Log, robot: Any, references: TrackReferences) -> list[Plot]:
         Plot("Base path", "x [m]", "y [m]", [
             Series("true", base[:, 0], base[:, 1]), Series("odometry", odometry[:, 0], odometry[:, 1], dashed=True),
         ], equal_axes=True),
-        Plot("Joint speeds over their limits", "time [s]", "largest |speed| / limit", _speed_ratios(log, robot)),
+        Plot("Joint speeds over their limits", "time [s]", "largest |speed| / limit [%]", _speed_ratios(log, robot)),
     ]  # fmt: skip

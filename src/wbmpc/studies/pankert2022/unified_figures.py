@@ -60,7 +60,7 @@ def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
     margins = 1e3 * log.array("support_margin")
     names = [n.removeprefix("leg_") for n in robot.state.groups["leg"]]
     error = lambda a: 1e3 * np.linalg.norm(log.array(a) - log.array("hand_reference"), axis=1)
-    use = t >= begin
+    use, offsets = t >= begin, {"world": base - target, "estimated frame": odometry - target}
     return [
         Plot("Base and end effector from above", "x [m]", "y [m]", [
             Series("base", base[:, 0], base[:, 1]), Series("base, reference", target[:, 0], target[:, 1], dashed=True),
@@ -69,11 +69,11 @@ def plots(log: Log, robot: RobotModel, begin: float) -> list[Plot | Drawing]:
         Plot("End effector error", "time [s]", "error [mm]", [
             Series("estimated frame", t[use], error("hand_odometry")[use]), Series("world", t[use], error("hand")[use]),
         ]),
-        Plot("Base error, world", "time [s]", "error [mm, mrad]", [
-            Series(n, t, 1e3 * (base - target)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
-        ]),
-        Plot("Base error, estimated frame", "time [s]", "error [mm, mrad]", [
-            Series(n, t, 1e3 * (odometry - target)[:, k]) for k, n in enumerate(("x", "y", "yaw"))
+        *(Plot(f"Base error, {frame}", "time [s]", "error [mm]", [
+            Series(n, t, 1e3 * off[:, k]) for k, n in enumerate("xy")
+        ]) for frame, off in offsets.items()),
+        Plot("Base yaw error", "time [s]", "error [°]", [
+            Series(frame, t, np.degrees(off[:, 2])) for frame, off in offsets.items()
         ]),
         Plot("Leg angles", "time [s]", "angle [°]", [
             *(Series(n, t, legs[:, k]) for k, n in enumerate(names)),

@@ -148,13 +148,13 @@ def plots(
     rates, gyros, forces = [], [], []
     for n in CONFIGURATIONS:
         t = log.times(f"rate_{key[n]}")
-        rates.append(Series(n, t, np.linalg.norm(log.array(f"rate_{key[n]}"), axis=1)))
-        gyros.append(Series(n, t, _filtered(log.array(f"gyro_{key[n]}"), t < 0.0)))
+        rates.append(Series(n, t, np.degrees(np.linalg.norm(log.array(f"rate_{key[n]}"), axis=1))))
+        gyros.append(Series(n, t, np.degrees(_filtered(log.array(f"gyro_{key[n]}"), t < 0.0))))
         forces.append([Series(w, t, log.array(f"force_{key[n]}")[:, i]) for w, i in corners(robot).items()])
     height = f"{100 * settings.heights[0]:g} cm block"
     plots: list[Plot | Drawing] = [
-        Plot(f"Roll-pitch rate, {height}, true (Fig. 6)", "time [s]", "rate [rad/s]", rates),
-        Plot(f"Roll-pitch rate, {height}, gyro (Fig. 6)", "time [s]", "rate [rad/s]", gyros),
+        Plot(f"Roll-pitch rate, {height}, true (Fig. 6)", "time [s]", "rate [°/s]", rates),
+        Plot(f"Roll-pitch rate, {height}, gyro (Fig. 6)", "time [s]", "rate [°/s]", gyros),
         _lateness(log, cases, nominal, calibrated),
     ]
     plots += [
