@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from effort import draws
 from toys import aligned_copy, call_pointers, compile_ir
 from wbmpc.kernel import dense
-from wbmpc.kernel.compiled import emit_riccati_node
+from wbmpc.kernel.riccati import emit_riccati_node
 from wbmpc.kernel.scalar import DECLARATIONS
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.solver.workspace import aligned
@@ -19,6 +19,19 @@ from wbmpc.solver.workspace import aligned
 def compile_kernel(text: str, name: str) -> tuple[object, int]:
     engine = compile_ir("\n".join([DECLARATIONS, dense.FMA, text]))
     return engine, engine.get_function_address(name)
+
+
+@pytest.mark.parametrize("diagonal", [0, 3, 13])
+def test_product_above_a_diagonal(diagonal: int) -> None:
+    """Vectors with an entry on or above the diagonal are those of the whole product; the others stay as they are."""
+    r, n, inner = np.random.default_rng(diagonal), 19, 7
+    a, b = r.normal(size=(inner, 40)), r.normal(size=(n, inner))
+    text = dense.matrix_product("k", 5, n, inner, 40, inner, 1, 40, None, False, diagonal=diagonal)
+    _engine, address = compile_kernel(text, "k")
+    out = aligned(n * 40).reshape(n, -1)
+    call_pointers(address, aligned_copy(a), aligned_copy(b), out, out)
+    made = np.arange(40) // 8 <= (diagonal + np.arange(n)[:, None]) // 8
+    np.testing.assert_allclose(out, np.where(made, b @ a, 0.0), rtol=1e-12, atol=1e-13)
 
 
 @settings(max_examples=25, deadline=None)
@@ -56,8 +69,19 @@ def random_node(s: Sizes, seed: int) -> tuple[np.ndarray, ...]:
     )  # fmt: skip
 
 
-def run_node(s: Sizes, node: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Gains (nu, nx + 1) and value function (nx + 1, nx + 1) of the compiled step."""
+def thinned(s: Sizes, node: tuple[np.ndarray, ...], seed: int) -> tuple[np.ndarray, ...]:
+    """The node with few entries in A and B, some of their columns full and some empty, and equalities that hold an input each."""
+    r = np.random.default_rng(seed)
+    a, b, bu, h, g, c, d, e, p, slope = node
+    share = r.choice([0.0, 0.1, 1.0], size=s.nx + s.nu, p=[0.1, 0.7, 0.2])
+    kept = r.uniform(size=(s.nx, s.nx + s.nu)) < share
+    single = np.zeros_like(d)
+    single[np.arange(s.ng), r.permutation(s.nu)[: s.ng]] = r.uniform(0.5, 2.0, s.ng)
+    return a * kept[:, : s.nx], b, bu * kept[:, s.nx :], h, g, c, single, e, p, slope
+
+
+def run_node(s: Sizes, node: tuple[np.ndarray, ...], known: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Gains (nu, nx + 1) and value function (nx + 1, nx + 1) of the compiled step; ``known``: it knows which entries are zero."""
     a, b, bu, h, g, c, d, e, p, slope = node
     nx, nu, ng, first = s.nx, s.nu, s.ng, s.first
     ab, hm = np.zeros((nx + 1, s.lz)), np.zeros((s.nz, s.lz))
@@ -75,19 +99,24 @@ def run_node(s: Sizes, node: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.nda
     value = aligned((nx + 1) * s.lx).reshape(nx + 1, s.lx)
     value[:nx, :nx], value[:nx, nx], value[nx, :nx] = p, slope, slope
     gain = aligned(nu * s.lx).reshape(nu, s.lx)
-    _engine, address = compile_kernel(emit_riccati_node(s), "riccati_node")
+    step = np.zeros((nx + 1, s.nz), dtype=bool)
+    step[:nx], step[:, nx] = ab[:nx, : s.nz] != 0.0, True
+    held = [[int(j) for j in np.flatnonzero(row)] for row in d]
+    text = emit_riccati_node(s, step, held) if known else emit_riccati_node(s)
+    _engine, address = compile_kernel(text, "riccati_node")
     eps, scratch = aligned(s.lg), aligned(s.scratch()["total"])
     call_pointers(address, aligned_copy(ab), aligned_copy(hm), aligned_copy(rows), eps, value, gain, scratch)
     return gain[:, : nx + 1], value[: nx + 1, : nx + 1]
 
 
 @settings(max_examples=draws(12, 40), deadline=None, derandomize=True)
-@given(st.integers(1, 9), st.integers(1, 9), st.data())
-def test_riccati_node_against_its_kkt_system(nx: int, nu: int, data: st.DataObject) -> None:
-    s = Sizes(nx, nu, data.draw(st.integers(0, min(8, nu))), 0, 0)
+@given(st.integers(1, 20), st.integers(1, 12), st.booleans(), st.data())
+def test_riccati_node_against_its_kkt_system(nx: int, nu: int, known: bool, data: st.DataObject) -> None:
+    s = Sizes(nx, nu, data.draw(st.integers(0, min(10, nu))), 0, 0)
     node = random_node(s, data.draw(st.integers(0, 99)))
+    node = thinned(s, node, data.draw(st.integers(0, 99))) if known else node
     a, b, bu, h, g, c, d, e, p, slope = node
-    gain, value = run_node(s, node)
+    gain, value = run_node(s, node, known)
     # minimize over u the quadratic of (x, u) plus the next value, for every state and for the constant
     ab, ng = np.hstack([a, bu]), s.ng
     m, q = h + ab.T @ p @ ab, g + ab.T @ (slope + p @ b)
@@ -103,4 +132,4 @@ def test_riccati_node_against_its_kkt_system(nx: int, nu: int, data: st.DataObje
     tolerance = 1e-6 * size * max(1.0, np.linalg.cond(left) * 1e-6)
     assert np.abs(value[:nx, :nx] - next_p).max() < tolerance
     assert np.abs(value[:nx, nx] - next_slope).max() < tolerance
-    assert np.abs(value - value.T)[:nx, :nx].max() < 1e-9 * size
+    np.testing.assert_array_equal(value, value.T)

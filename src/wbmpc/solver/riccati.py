@@ -181,15 +181,6 @@ def linearize_end(m: Floats, o: Integers) -> tuple[float, float]:
 
 
 @compiled
-def symmetrize(m: Floats, o: Integers) -> None:
-    """Mirror the value function, its gradient too: an antisymmetric rounding error would grow with the open loop's unstable modes."""
-    value, lx = o[VALUE], o[LX]
-    for i in range(o[NX] + 1):
-        for j in range(i):
-            m[value + j * lx + i] = m[value + i * lx + j]
-
-
-@compiled
 def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, float]:
     """Linearize and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|, Σ|row|).
 
@@ -216,7 +207,6 @@ def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, f
                 base + 8 * (o[K] + k * nu * lx),
                 base + 8 * o[SCRATCH],
             )
-            symmetrize(m, o)
     return cost, gaps, violations, rows
 
 

@@ -1,0 +1,93 @@
+"""One backward step of the Riccati recursion as LLVM IR, for a problem's sizes and the entries that its matrices can have.
+
+The letters are those of docs/explanation/solver.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from wbmpc.kernel import dense
+from wbmpc.kernel.codegen_target import vector_budget
+from wbmpc.kernel.sizes import Sizes
+from wbmpc.kernel.sparse_products import sparse_product, transposed_product
+
+#: ε of the equality rows, relative to the diagonal of their Schur complement.
+RELATIVE_SOFTNESS = 1e-12
+
+
+def _columns(pattern: np.ndarray) -> list[list[int]]:
+    """Of every column the rows with entries."""
+    return [[int(k) for k in np.flatnonzero(column)] for column in pattern.T]
+
+
+def _parts(s: Sizes, columns: list[list[int]], held: Sequence[Sequence[int]], touched: int) -> list[str]:
+    """The functions that a step calls, those of equalities included. ``touched``: the inputs from there on are in no equality."""
+    nx1, nu, ng, lx, lz, lg, first, budget = s.nx + 1, s.nu, s.ng, s.lx, s.lz, s.lg, s.first, vector_budget()
+    xb, zb, gb = lx // 8, lz // 8, lg // 8
+    product = partial(dense.matrix_product, budget=budget)
+    parts = [
+        transposed_product("k_w", columns, nx1, lz, lx, lz, budget),
+        sparse_product("k_m", zb, columns, nx1, (lz, 1, lz, lz, lz), budget, 0),
+        dense.reverse_cholesky("k_chol", nu, first, lz, touched, gb, lg, budget),
+        product("k_p", xb, nx1, nu, lz, 1, lz, lx, lz, True, diagonal=0),
+        dense.gains("k_gains", nu, first, lz, xb, lx, touched, lx, budget), dense.mirror("k_mirror", nx1, lx),
+    ]  # fmt: skip
+    if s.ng:
+        parts += [
+            product("k_ch", xb, ng, touched, lz, 1, lg, lx, lz, True),
+            product("k_s", gb, ng, touched, lg, 1, lg, lg, None, False),
+            dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_SOFTNESS, budget),
+            product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False, diagonal=0),
+            dense.schur_back("k_back", ng, lg, lx, budget),
+            product("k_t", xb, touched, ng, lx, lg, 1, lx, lz, False),
+            sparse_product("k_left", xb, held, touched, (lx, lz, 1, lx, lz), budget), dense.soften("k_soft", ng, lx),
+            dense.schur_forward("k_forth", ng, lg, lx, budget),
+            product("k_more", xb, touched, ng, lx, lg, 1, lx, lx, False),
+        ]  # fmt: skip
+    return parts
+
+
+def emit_riccati_node(s: Sizes, pattern: np.ndarray | None = None, held: Sequence[Sequence[int]] | None = None) -> str:
+    """One backward step; arguments AB, H, E (equality rows), EPS, P, K, X (scratch).
+
+    ``pattern`` (nx + 1, nz): where [A b B; 0 1 0] can differ from zero; ``held``: of every equality the inputs in it; None: everywhere.
+    """
+    pattern = np.ones((s.nx + 1, s.nz), dtype=bool) if pattern is None else pattern
+    held = [list(range(s.nu))] * s.ng if held is None else held
+    touched = max((j + 1 for inputs in held for j in inputs), default=min(s.ng, 1))
+    o, lz, nx1 = s.scratch(), s.lz, s.nx + 1
+    body = dense.Body("riccati_node", "AB H E EPS P K X")
+    body.lines = [body.lines[0].replace("noalias ", "")]
+    at = body.address
+
+    def call(name: str, *pointers: str) -> None:
+        body.lines.append(f"call void @{name}({', '.join(f'ptr {p}' for p in pointers)})")
+
+    w, m, d, t, r, z = (at("X", o[name]) for name in "WMDTRZ")
+    mu = at("X", o["M"] + lz * nx1)
+    call("k_w", "%AB", "%P", w)
+    call("k_m", w, "%AB", m, "%H")
+    call("k_chol", mu, d, at("E", s.ng * lz), r)
+    call("k_p", mu, mu, "%P", m)
+    if s.ng:
+        sc, inverse, left = at("X", o["S"]), at("X", o["I"]), at("X", o["Y"])
+        call("k_ch", mu, r, z, "%E")
+        call("k_s", r, r, sc, sc)
+        call("k_factor", sc, z, "%EPS", inverse)
+        call("k_pz", z, z, "%P", "%P")
+        call("k_back", sc, inverse, z)
+        call("k_t", z, r, t, mu)
+        call("k_gains", mu, d, t, "%K")
+        # once more for what the rows still lack: a saturated input makes the Schur complement ill-conditioned
+        call("k_left", "%K", at("E", s.first), left, "%E")
+        call("k_soft", left, z, "%EPS")
+        call("k_forth", sc, inverse, left)
+        call("k_back", sc, inverse, left)
+        call("k_more", left, r, t, t)
+    call("k_gains", mu, d, t, "%K")
+    call("k_mirror", "%P")
+    return "\n".join([*_parts(s, _columns(pattern), held, touched), body.text()])
