@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -30,7 +31,7 @@ _EIGHT = (
     "dynamics", "cost", "equality", "rows", "dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian",
 )  # fmt: skip
 _KERNELS = (
-    "riccati_node", "add_rows", "row_products", "chain_lanes", "pack", "unpack_ab", "unpack_matrix",
+    "riccati_node", "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
     "unpack_equalities", "unpack_rows",
 )  # fmt: skip
 #: Order of the addresses in :attr:`Kernel.addresses`.
@@ -103,14 +104,6 @@ def rows_pattern(functions: dict[str, ca.Function], sizes: Sizes) -> list[set[in
     return pattern
 
 
-def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
-    pattern: list[list[int]] = [[] for _ in range(nx)]
-    for r, c in zip(*jacobian.get_triplet(), strict=True):
-        if c < nx:
-            pattern[r].append(c)
-    return pattern
-
-
 def matrix_groups(maps: dict[str, OutputMap]) -> dict[str, list[int]]:
     """For every function of eight nodes that fills a matrix of each node: the matrix's groups with entries."""
     outputs = {"cost_quadratic": (1, 2), "equality_jacobian": (0, 1), "rows_jacobian": (1,)}
@@ -134,11 +127,25 @@ def step_pattern(transcription: Transcription, jacobian: ca.Sparsity, sizes: Siz
     if transcription.jumps:
         pattern[: sizes.nx] = True
         return pattern
-    nonzero = np.zeros(jacobian.shape, dtype=bool)
-    nonzero[tuple(np.array(jacobian.get_triplet(), dtype=int))] = True
-    stages = 4 if transcription.ocp.integrator == "rk4" else 2
-    found = blocks.sensitivity_pattern(nonzero, stages, transcription.ocp.dynamics.unit_quaternions)
-    pattern[: sizes.nx, : sizes.nx], pattern[: sizes.nx, sizes.first :] = found[:, : sizes.nx], found[:, sizes.nx :]
+    pattern[: sizes.nx] |= _sensitivity(transcription, jacobian, sizes)
+    return pattern
+
+
+def _sensitivity(transcription: Transcription, jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
+    """Where the derivative of a Runge-Kutta step (nx, nz) can differ from zero."""
+    quaternions = transcription.ocp.dynamics.unit_quaternions
+    return blocks.sensitivity_pattern(extended_pattern(jacobian, sizes), _stages(transcription), quaternions)
+
+
+def _stages(transcription: Transcription) -> int:
+    return 4 if transcription.ocp.integrator == "rk4" else 2
+
+
+def extended_pattern(jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
+    """Entries of a Jacobian by [x; u] in the columns [x, 1, u]."""
+    pattern = np.zeros((jacobian.shape[0], sizes.nz), dtype=bool)
+    for r, c in zip(*jacobian.get_triplet(), strict=True):
+        pattern[r, c if c < sizes.nx else c + 1] = True
     return pattern
 
 
@@ -158,12 +165,19 @@ def _emit_blocks(
     width, jacobian, groups = register_width(), functions["dynamics_jacobian"].sparsity_out(1), matrix_groups(maps)
     step = [r * sizes.lz + c for r, c in np.argwhere(step_pattern(transcription, jacobian, sizes)[: sizes.nx])]
     lanes = lane_maps(maps)
-    stages = "\n".join(emit_lanes(functions[n], f"l_{n}", width, lanes[n], _SHARED) for n in _EIGHT)
+    evaluations = "\n".join(emit_lanes(functions[n], f"l_{n}", width, lanes[n], _SHARED) for n in _EIGHT)
+    own, found, stages = (
+        extended_pattern(jacobian, sizes),
+        _sensitivity(transcription, jacobian, sizes),
+        _stages(transcription),
+    )
+    chain = partial(blocks.chain, jacobian=own, step=found, stages=stages, ld=sizes.lz, width=width)
     return [
-        helpers(stages, width),
-        stages,
+        helpers(evaluations, width),
+        evaluations,
         blocks.declarations(width),
-        blocks.chain(_pattern(jacobian, sizes.nx), sizes.nz, sizes.lz, width),
+        chain("chain_first", start=0.5 if stages == 4 else 0.0),
+        chain("chain_next", start=None),
         blocks.pack(),
         blocks.unpack("unpack_ab", blocks.groups_of(map(int, step)), whole=True),
         blocks.unpack("unpack_matrix", groups["cost_quadratic"]),
@@ -212,6 +226,9 @@ def problem_key(transcription: Transcription) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
+    # nor are the entries that a step's derivative can have
+    ocp = transcription.ocp
+    digest.update(repr([ocp.integrator, list(ocp.dynamics.unit_quaternions)]).encode())
     text = [target_text(), transcription.exact, getattr(ca, "__version__", ""), cache.source_fingerprint()]
     digest.update(json.dumps(text).encode())
     return digest.hexdigest()

@@ -32,6 +32,21 @@ def pad(n: int) -> int:
     return (n + 7) // 8 * 8
 
 
+def transposed(names: Sequence[str], lines: list[str], prefix: str = "t") -> list[str]:
+    """Eight vectors as the columns of a square, transposed; what it names begins with ``prefix``."""
+    found = list(names)
+    for number, (low, high, distance) in enumerate(_MIXES):
+        result = list(found)
+        for i in (i for i in range(LANES) if not i & distance):
+            for target, order in ((i, low), (i + distance, high)):
+                indices = ", ".join(f"i32 {q}" for q in order)
+                pair = f"{V} {found[i]}, {V} {found[i + distance]}"
+                result[target] = f"%{prefix}.{number}.{target}"
+                lines.append(f"{result[target]} = shufflevector {pair}, <8 x i32> <{indices}>")
+        found = result
+    return found
+
+
 class Body(Lines):
     """Straight-line vector code of one function with pointer arguments."""
 
@@ -84,17 +99,8 @@ class Body(Lines):
 
     def transpose(self, names: Sequence[str]) -> list[str]:
         """Eight vectors as the columns of a square, transposed."""
-        found = list(names)
-        for low, high, distance in _MIXES:
-            result = list(found)
-            for i in (i for i in range(LANES) if not i & distance):
-                for target, order in ((i, low), (i + distance, high)):
-                    indices = ", ".join(f"i32 {q}" for q in order)
-                    result[target] = self.new(
-                        f"shufflevector {V} {found[i]}, {V} {found[i + distance]}, <8 x i32> <{indices}>"
-                    )
-            found = result
-        return found
+        self.count += 1
+        return transposed(names, self.lines, f"t{self.count}")
 
     def text(self) -> str:
         return "\n".join([*self.lines, "ret void", "}"])
