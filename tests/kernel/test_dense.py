@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from effort import draws
 from toys import aligned_copy, call_pointers, compile_ir
 from wbmpc.kernel import dense
-from wbmpc.kernel.riccati import emit_riccati_node
+from wbmpc.kernel.riccati import emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.solver.workspace import aligned
 
 
 def compile_kernel(text: str, name: str) -> tuple[object, int]:
-    engine = compile_ir("\n".join([DECLARATIONS, dense.FMA, text]))
+    engine = compile_ir("\n".join([DECLARATIONS, dense.FMA, dense.ABSOLUTE, text]))
     return engine, engine.get_function_address(name)
 
 
@@ -133,3 +133,26 @@ def test_riccati_node_against_its_kkt_system(nx: int, nu: int, known: bool, data
     assert np.abs(value[:nx, :nx] - next_p).max() < tolerance
     assert np.abs(value[:nx, nx] - next_slope).max() < tolerance
     np.testing.assert_array_equal(value, value.T)
+
+
+@settings(max_examples=draws(8, 30), deadline=None, derandomize=True)
+@given(st.integers(1, 20), st.integers(1, 12), st.booleans(), st.integers(0, 99))
+def test_step_node(nx: int, nu: int, known: bool, seed: int) -> None:
+    """Input, next state, slope and largest component of a step."""
+    s, r = Sizes(nx, nu, 0, 0, 0), np.random.default_rng(seed)
+    a, b, bu, *_ = thinned(s, random_node(s, seed), seed) if known else random_node(s, seed)
+    ab, k, g = np.zeros((nx + 1, s.lz)), np.zeros((nu, s.lx)), np.zeros(s.lz)
+    ab[:nx, :nx], ab[:nx, nx], ab[:nx, s.first : s.nz], ab[nx, nx] = a, b, bu, 1.0
+    k[:, : nx + 1], g[:nx], g[s.first : s.nz] = r.normal(size=(nu, nx + 1)), r.normal(size=nx), r.normal(size=nu)
+    x, u, sums = aligned(2 * s.lx), np.full(nu + 8, 7.0), aligned(16)
+    x[:nx], x[nx] = r.normal(size=nx), 1.0
+    text = emit_step_node(s, np.vstack([ab[:nx, : s.nz], ab[nx, : s.nz]]) != 0.0 if known else None)
+    _engine, address = compile_kernel(text, "step_node")
+    call_pointers(address, aligned_copy(ab), aligned_copy(k), x, u, aligned_copy(g), aligned(s.lz + 8), sums)
+    want = k[:, : nx + 1] @ x[: nx + 1]
+    following = a @ x[:nx] + b + bu @ want
+    np.testing.assert_allclose(u[:nu], want, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(u[nu:], 7.0)
+    np.testing.assert_allclose(x[s.lx :], [*following, 1.0, *[0.0] * (s.lx - nx - 1)], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(sums[:8].sum(), g[:nx] @ x[:nx] + g[s.first : s.nz] @ want, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(sums[8:].max(), np.abs([*want, *following]).max(), rtol=1e-12)

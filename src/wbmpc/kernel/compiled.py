@@ -14,7 +14,7 @@ import numpy as np
 from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
 from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
-from wbmpc.kernel.riccati import emit_riccati_node
+from wbmpc.kernel.riccati import emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
 from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
@@ -31,7 +31,7 @@ _EIGHT = (
     "dynamics", "cost", "equality", "rows", "dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian",
 )  # fmt: skip
 _KERNELS = (
-    "riccati_node", "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
+    "riccati_node", "step_node", "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
     "unpack_equalities", "unpack_rows",
 )  # fmt: skip
 #: Order of the addresses in :attr:`Kernel.addresses`.
@@ -206,13 +206,17 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     own = (len(transcription.path.general), len(transcription.end.general))
     sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0], *own)
     maps = output_maps(functions, sizes)
-    parts = [DECLARATIONS, dense.FMA]
+    parts = [DECLARATIONS, dense.FMA, dense.ABSOLUTE]
     parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _SINGLE]
     parts += _emit_blocks(transcription, functions, maps, sizes)
     pattern = rows_pattern(functions, sizes)
     jacobian, equality = functions["dynamics_jacobian"].sparsity_out(1), functions["equality_jacobian"].sparsity_out(1)
     step, held = step_pattern(transcription, jacobian, sizes), _equality_inputs(equality, sizes)
-    parts += [emit_riccati_node(sizes, step, held), emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget())]
+    parts += [
+        emit_riccati_node(sizes, step, held),
+        emit_step_node(sizes, step),
+        emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget()),
+    ]
     parts.append(emit_row_products(pattern, sizes.lz))
     return "\n".join(parts), sizes
 

@@ -13,6 +13,7 @@ from wbmpc.kernel.ir import LANES, Lines
 
 V = "<8 x double>"
 FMA = f"declare {V} @llvm.fmuladd.v8f64({V}, {V}, {V})"
+ABSOLUTE = f"declare {V} @llvm.fabs.v8f64({V})"
 ALIGN = 64
 #: A vector of memory: array and offset [doubles].
 Place = tuple[str, int]
@@ -67,13 +68,20 @@ class Body(Lines):
     def store_scalar(self, value: str, array: str, offset: int) -> None:
         self.lines.append(f"store double {value}, ptr {self.address(array, offset)}")
 
+    def store_some(self, value: str, count: int, array: str, offset: int) -> None:
+        """The first numbers of a vector, to anywhere."""
+        part, address = f"<{count} x double>", self.address(array, offset)
+        lanes = ", ".join(f"i32 {q}" for q in range(count))
+        some = self.new(f"shufflevector {V} {value}, {V} poison, <{count} x i32> <{lanes}>")
+        self.lines.append(f"store {part} {some}, ptr {address}, align 8")
+
     def splat(self, scalar: str) -> str:
         one = self.new(f"insertelement {V} poison, double {scalar}, i32 0")
         return self.new(f"shufflevector {V} {one}, {V} poison, <8 x i32> zeroinitializer")
 
     def spread(self, a: str, lane: int) -> str:
         """One lane of a vector in all lanes."""
-        return self.new(f"shufflevector {V} {a}, {V} poison, <8 x i32> <{', '.join([f'i32 {lane}'] * LANES)}>")
+        return self.shuffle(a, "poison", [lane] * LANES)
 
     def spread_from(self, array: str, offset: int) -> str:
         """A number of memory in all lanes."""
@@ -101,6 +109,30 @@ class Body(Lines):
         """Eight vectors as the columns of a square, transposed."""
         self.count += 1
         return transposed(names, self.lines, f"t{self.count}")
+
+    def add(self, a: str, b: str) -> str:
+        return self.new(f"fadd {V} {a}, {b}")
+
+    def larger(self, a: str, b: str) -> str:
+        """Lane by lane the larger number, that of ``a`` where b is none."""
+        mask = self.new(f"fcmp ogt {V} {b}, {a}")
+        return self.new(f"select <8 x i1> {mask}, {V} {b}, {V} {a}")
+
+    def absolute(self, a: str) -> str:
+        return self.new(f"call {V} @llvm.fabs.v8f64({V} {a})")
+
+    def sums(self, names: Sequence[str]) -> str:
+        """The sum of each of eight vectors, fewer with zeros behind, in one vector."""
+        found = [*names, *["zeroinitializer"] * (LANES - len(names))]
+        for low, high, _ in _MIXES:
+            pairs, found = list(zip(found[::2], found[1::2], strict=True)), []
+            for a, b in pairs:
+                parts = [self.shuffle(a, b, order) for order in (low, high)]
+                found.append(self.add(*parts))
+        return found[0]
+
+    def shuffle(self, a: str, b: str, order: Sequence[int]) -> str:
+        return self.new(f"shufflevector {V} {a}, {V} {b}, <8 x i32> <{', '.join(f'i32 {q}' for q in order)}>")
 
     def text(self) -> str:
         return "\n".join([*self.lines, "ret void", "}"])
@@ -356,7 +388,6 @@ def mirror(name: str, n: int, ld: int) -> str:
             for c in range(i, min(i + 8, n)):
                 value = lower[c - i]
                 if i == j:
-                    lanes = ", ".join(f"i32 {q if q <= c - i else 8 + q}" for q in range(8))
-                    value = b.new(f"shufflevector {V} {upper[c - i]}, {V} {value}, <8 x i32> <{lanes}>")
+                    value = b.shuffle(upper[c - i], value, [q if q <= c - i else 8 + q for q in range(8)])
                 b.store(value, "P", c * ld + j)
     return b.text()

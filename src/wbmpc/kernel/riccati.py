@@ -91,3 +91,41 @@ def emit_riccati_node(s: Sizes, pattern: np.ndarray | None = None, held: Sequenc
     call("k_gains", mu, d, t, "%K")
     call("k_mirror", "%P")
     return "\n".join([*_parts(s, _columns(pattern), held, touched), body.text()])
+
+
+def emit_step_node(s: Sizes, pattern: np.ndarray | None = None) -> str:
+    """One forward step: U = K X, and [A b B; 0 1 0] [X; U] behind X; arguments AB, K, X, U, G (gradient), Z (scratch, lz + 8), S.
+
+    S: two vectors, onto which slope and largest component go lane by lane. ``pattern``: as of :func:`emit_riccati_node`.
+    """
+    pattern = np.ones((s.nx + 1, s.nz), dtype=bool) if pattern is None else pattern
+    nx, nu, lx, lz, b = s.nx, s.nu, s.lx, s.lz, dense.Body("step_node", "AB K X U G Z S")
+
+    def product(array: str, row: int, groups: Sequence[int], vectors: Sequence[str]) -> str:
+        total = "zeroinitializer"
+        for g in groups:
+            total = b.fma(b.load(array, row + 8 * g), vectors[g], total)
+        return total
+
+    x = [b.load("X", i) for i in range(0, lx, 8)]
+    largest = b.load("S", 8)
+    for i, vector in enumerate(x):
+        b.store(vector, "Z", 8 * i)
+    for first in range(0, nu, 8):
+        u = b.sums([product("K", j * lx, range(lx // 8), x) for j in range(first, min(first + 8, nu))])
+        largest = b.larger(largest, b.absolute(u))
+        b.store_some(u, min(8, nu - first), "U", first)
+        b.store_some(u, 8, "Z", nx + 1 + first)
+    z, slope = [b.load("Z", i) for i in range(0, lz, 8)], b.load("S", 0)
+    for i, vector in enumerate(z):
+        slope = b.fma(vector, b.load("G", 8 * i), slope)
+    b.store(slope, "S", 0)
+    for first in range(0, lx, 8):
+        rows = range(first, min(first + 8, nx + 1))
+        groups = {r: sorted({int(c) // 8 for c in np.flatnonzero(pattern[r])}) for r in rows}
+        following = b.sums([product("AB", r * lz, groups[r], z) for r in rows])
+        b.store(following, "X", lx + first)
+        states = b.shuffle(following, "zeroinitializer", [q if first + q < nx else 8 for q in range(8)])
+        largest = b.larger(largest, b.absolute(states))
+    b.store(largest, "S", 8)
+    return b.text()

@@ -55,6 +55,7 @@ from wbmpc.solver.memory_layout import (
     SMALL,
     SOFT_RESIDUAL,
     STATE,
+    STEP,
     TERMINAL,
     UNPACK_EQUALITIES,
     UNPACK_MATRIX,
@@ -234,32 +235,28 @@ def first_equalities(m: Floats, o: Integers) -> float:
 @compiled
 def forward(m: Floats, o: Integers, x0: Floats) -> tuple[float, float]:
     """The step: (largest component, directional derivative of the cost)."""
-    n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, slope = 0.0, 0.0
+    n, nx, nu, lx, lz, base = o[N], o[NX], o[NU], o[LX], o[LZ], o[BASE]
+    slopes = o[PULLED] + lz + LANES
+    sizes = slopes + LANES
+    m[slopes : slopes + LANES] = np.full(LANES, 0.0)
+    m[sizes : sizes + LANES] = np.full(LANES, 0.0)
     for i in range(nx):
         m[o[DX] + i] = x0[i] - m[o[X] + i]
     for k in range(n):
-        dx, du, g = o[DX] + k * lx, o[DU] + k * nu, o[G] + k * lz
-        for j in range(nu):
-            row, total = o[K] + (k * nu + j) * lx, 0.0
-            for i in range(nx + 1):
-                total += m[row + i] * m[dx + i]
-            m[du + j] = total
-            slope += total * m[g + nx + 1 + j]
-            largest = max(largest, abs(total))
-        for r in range(nx):
-            row, total = o[AB] + (k * (nx + 1) + r) * lz, 0.0
-            for i in range(nx + 1):
-                total += m[row + i] * m[dx + i]
-            for j in range(nu):
-                total += m[row + nx + 1 + j] * m[du + j]
-            m[dx + lx + r] = total
-            slope += m[dx + r] * m[g + r]
-            largest = max(largest, abs(m[dx + r]))
+        call7(
+            o[STEP],
+            base + 8 * (o[AB] + k * (nx + 1) * lz),
+            base + 8 * (o[K] + k * nu * lx),
+            base + 8 * (o[DX] + k * lx),
+            base + 8 * (o[DU] + k * nu),
+            base + 8 * (o[G] + k * lz),
+            base + 8 * o[PULLED],
+            base + 8 * slopes,
+        )
+    slope = np.sum(m[slopes : slopes + LANES])
     for r in range(nx):
         slope += m[o[DX] + n * lx + r] * m[o[G] + n * lz + r]
-        largest = max(largest, abs(m[o[DX] + n * lx + r]))
-    return largest, slope
+    return np.max(m[sizes : sizes + LANES]), slope
 
 
 @compiled
