@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from effort import draws
 from toys import aligned_copy, call_pointers, compile_ir
 from wbmpc.kernel import dense
+from wbmpc.kernel.products import matrix_product
 from wbmpc.kernel.riccati import emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS
 from wbmpc.kernel.sizes import Sizes
@@ -26,7 +27,7 @@ def test_product_above_a_diagonal(diagonal: int) -> None:
     """Vectors with an entry on or above the diagonal are those of the whole product; the others stay as they are."""
     r, n, inner = np.random.default_rng(diagonal), 19, 7
     a, b = r.normal(size=(inner, 40)), r.normal(size=(n, inner))
-    text = dense.matrix_product("k", 5, n, inner, 40, inner, 1, 40, None, False, diagonal=diagonal)
+    text = matrix_product("k", 5, n, inner, 40, inner, 1, 40, None, False, diagonal=diagonal)
     _engine, address = compile_kernel(text, "k")
     out = aligned(n * 40).reshape(n, -1)
     call_pointers(address, aligned_copy(a), aligned_copy(b), out, out)
@@ -42,7 +43,7 @@ def test_matrix_product(rows: int, n: int, inner: int, negative: bool, initial: 
     a, b = r.normal(size=(inner, 8 * blocks)), r.normal(size=(n, inner))
     start = r.normal(size=(n, 8 * blocks))
     ldi = 8 * blocks if initial else None
-    text = dense.matrix_product("k", blocks, n, inner, 8 * blocks, inner, 1, 8 * blocks, ldi, negative)
+    text = matrix_product("k", blocks, n, inner, 8 * blocks, inner, 1, 8 * blocks, ldi, negative)
     _engine, address = compile_kernel(text, "k")
     out = aligned(n * 8 * blocks).reshape(n, -1)
     call_pointers(address, aligned_copy(a), aligned_copy(b), out, aligned_copy(start))
@@ -52,7 +53,7 @@ def test_matrix_product(rows: int, n: int, inner: int, negative: bool, initial: 
 
 def test_empty_product_is_rejected() -> None:
     with pytest.raises(ValueError, match="empty"):
-        dense.matrix_product("k", 1, 0, 3, 8, 1, 1, 8, None, False)
+        matrix_product("k", 1, 0, 3, 8, 1, 1, 8, None, False)
 
 
 def random_node(s: Sizes, seed: int) -> tuple[np.ndarray, ...]:

@@ -19,7 +19,7 @@ from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity
 from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.kernel.sizes import Sizes
-from wbmpc.kernel.sparse_rows import emit_add_rows, emit_row_products
+from wbmpc.kernel.sparse_rows import added_groups, emit_add_rows, emit_row_products
 from wbmpc.ocp import Transcription
 
 #: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
@@ -104,15 +104,18 @@ def rows_pattern(functions: dict[str, ca.Function], sizes: Sizes) -> list[set[in
     return pattern
 
 
-def matrix_groups(maps: dict[str, OutputMap]) -> dict[str, list[int]]:
-    """For every function of eight nodes that fills a matrix of each node: the matrix's groups with entries."""
+def matrix_groups(functions: dict[str, ca.Function], maps: dict[str, OutputMap], sizes: Sizes) -> dict[str, list[int]]:
+    """For every function of eight nodes that fills a matrix of each node: the matrix's groups with entries. The Hessian's are also those to
+    which rows add: they start from zero where the cost has no entries."""
     outputs = {"cost_quadratic": (1, 2), "equality_jacobian": (0, 1), "rows_jacobian": (1,)}
-    return {n: blocks.groups_of(o for i in which for nz in maps[n][i] for o in nz) for n, which in outputs.items()}
+    found = {n: blocks.groups_of(o for i in which for nz in maps[n][i] for o in nz) for n, which in outputs.items()}
+    added = added_groups(rows_pattern(functions, sizes), sizes.nx, sizes.lz)
+    return found | {"cost_quadratic": sorted({*found["cost_quadratic"], *added})}
 
 
-def lane_maps(maps: dict[str, OutputMap]) -> dict[str, OutputMap]:
+def lane_maps(maps: dict[str, OutputMap], groups: dict[str, list[int]]) -> dict[str, OutputMap]:
     """Where the functions of eight nodes put their non-zeros: those of matrices group by group, see ``matrix_groups``."""
-    out, groups = {n: maps[n] for n in _EIGHT}, matrix_groups(maps)
+    out = {n: maps[n] for n in _EIGHT}
     pressed = lambda name, i: blocks.compact(maps[name][i], groups[name])
     out["cost_quadratic"] = [[[0]], pressed("cost_quadratic", 1), pressed("cost_quadratic", 2)]
     out["equality_jacobian"] = [pressed("equality_jacobian", i) for i in (0, 1)]
@@ -162,9 +165,10 @@ def _emit_blocks(
     transcription: Transcription, functions: dict[str, ca.Function], maps: dict[str, OutputMap], sizes: Sizes
 ) -> list[str]:
     """Everything that takes eight nodes at a time."""
-    width, jacobian, groups = register_width(), functions["dynamics_jacobian"].sparsity_out(1), matrix_groups(maps)
+    width, jacobian = register_width(), functions["dynamics_jacobian"].sparsity_out(1)
+    groups = matrix_groups(functions, maps, sizes)
     step = [r * sizes.lz + c for r, c in np.argwhere(step_pattern(transcription, jacobian, sizes)[: sizes.nx])]
-    lanes = lane_maps(maps)
+    lanes = lane_maps(maps, groups)
     evaluations = "\n".join(emit_lanes(functions[n], f"l_{n}", width, lanes[n], _SHARED) for n in _EIGHT)
     own, found, stages = (
         extended_pattern(jacobian, sizes),

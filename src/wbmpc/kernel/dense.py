@@ -7,7 +7,6 @@ Storage of a matrix: contiguous vectors ("columns") of padded length, one after 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 
 from wbmpc.kernel.ir import LANES, Lines
 
@@ -136,91 +135,6 @@ class Body(Lines):
 
     def text(self) -> str:
         return "\n".join([*self.lines, "ret void", "}"])
-
-
-def matrix_product(
-    name: str, blocks: int, n: int, inner: int, lda: int, bj: int, bk: int, ldc: int, ldi: int | None, negative: bool,
-    budget: int = 24, diagonal: int | None = None,
-) -> str:  # fmt: skip
-    """C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk] for j < n, k < inner; arguments A, B, C, I.
-
-    ``blocks``: vectors of eight per column; ``ldi`` None: no I; ``budget``: vectors of eight that the registers can add up.
-    ``diagonal``: C is symmetric with the diagonal of column j in row ``diagonal + j``; vectors below it are left out.
-    """
-    if n == 0 or inner == 0:
-        raise ValueError("empty product")
-    o = [f"define void @{name}(ptr %A, ptr %B, ptr %C, ptr %I) nounwind {{", "entry:", "br label %b0"]
-    tiles = [tile for height, columns in _heights(blocks, n, diagonal) for tile in _tiles(height, columns, budget)]
-    for number, (rows, columns) in enumerate(tiles):
-        o += _tile(f"b{number}", rows, columns, inner, (lda, bj, bk, ldc, ldi), negative)
-        o.append(f"br label %b{number + 1}" if number + 1 < len(tiles) else "ret void")
-    return "\n".join([*o, "}"])
-
-
-def height(blocks: int, diagonal: int | None, j: int) -> int:
-    """How many of a column's vectors are above its diagonal or hold it: see :func:`matrix_product`."""
-    return blocks if diagonal is None else min(blocks, (diagonal + j) // 8 + 1)
-
-
-def _heights(blocks: int, n: int, diagonal: int | None) -> list[tuple[int, range]]:
-    """Neighboring columns of one height."""
-    found: dict[int, list[int]] = {}
-    for j in range(n):
-        found.setdefault(height(blocks, diagonal, j), []).append(j)
-    return [(tall, range(columns[0], columns[-1] + 1)) for tall, columns in found.items()]
-
-
-def _tiles(blocks: int, columns: range, budget: int) -> list[tuple[range, range]]:
-    """Vectors and columns of tiles of nearly the same size whose sums fit into the registers."""
-    tall = min(blocks, budget)
-    count = -(-len(columns) // max(1, min(8, budget // tall)))
-    edges = [columns.start + len(columns) * i // count for i in range(count + 1)]
-    parts = [range(a, b) for a, b in pairwise(edges)]
-    return [(range(row, min(row + tall, blocks)), part) for row in range(0, blocks, tall) for part in parts]
-
-
-def _tile(
-    p: str, rows: range, columns: range, inner: int, strides: tuple[int, int, int, int, int | None],
-    negative: bool,
-) -> list[str]:  # fmt: skip
-    """One tile of a product: all of its sums stay in registers."""
-    lda, bj, bk, ldc, ldi = strides
-    cells = [(q, i) for q in columns for i in rows]
-    o = [f"{p}:"]
-    initial = {}
-    for q, i in cells:
-        if ldi is None:
-            initial[q, i] = "zeroinitializer"
-            continue
-        o.append(f"%{p}.pi{q}.{i} = getelementptr double, ptr %I, i64 {q * ldi + 8 * i}")
-        o.append(f"%{p}.i{q}.{i} = load {V}, ptr %{p}.pi{q}.{i}, align {ALIGN}")
-        initial[q, i] = f"%{p}.i{q}.{i}"
-    o += [f"br label %{p}l", f"{p}l:", f"%{p}.k = phi i64 [0, %{p}], [%{p}.k1, %{p}l]"]
-    o += [f"%{p}.a{q}.{i} = phi {V} [{initial[q, i]}, %{p}], [%{p}.n{q}.{i}, %{p}l]" for q, i in cells]
-    o.append(f"%{p}.ka = mul i64 %{p}.k, {lda}")
-    for i in rows:
-        o.append(f"%{p}.oa{i} = add i64 %{p}.ka, {8 * i}")
-        o.append(f"%{p}.pa{i} = getelementptr double, ptr %A, i64 %{p}.oa{i}")
-        o.append(f"%{p}.av{i} = load {V}, ptr %{p}.pa{i}, align {ALIGN}")
-    o.append(f"%{p}.kb = mul i64 %{p}.k, {bk}")
-    for q in columns:
-        o.append(f"%{p}.ob{q} = add i64 %{p}.kb, {q * bj}")
-        o.append(f"%{p}.pb{q} = getelementptr double, ptr %B, i64 %{p}.ob{q}")
-        o.append(f"%{p}.s{q} = load double, ptr %{p}.pb{q}")
-        if negative:
-            o.append(f"%{p}.t{q} = fneg double %{p}.s{q}")
-        scalar = f"%{p}.{'t' if negative else 's'}{q}"
-        o.append(f"%{p}.e{q} = insertelement {V} poison, double {scalar}, i32 0")
-        o.append(f"%{p}.v{q} = shufflevector {V} %{p}.e{q}, {V} poison, <8 x i32> zeroinitializer")
-        for i in rows:
-            operands = f"{V} %{p}.av{i}, {V} %{p}.v{q}, {V} %{p}.a{q}.{i}"
-            o.append(f"%{p}.n{q}.{i} = call {V} @llvm.fmuladd.v8f64({operands})")
-    o += [f"%{p}.k1 = add i64 %{p}.k, 1", f"%{p}.c = icmp eq i64 %{p}.k1, {inner}"]
-    o += [f"br i1 %{p}.c, label %{p}x, label %{p}l", f"{p}x:"]
-    for q, i in cells:
-        o.append(f"%{p}.po{q}.{i} = getelementptr double, ptr %C, i64 {q * ldc + 8 * i}")
-        o.append(f"store {V} %{p}.n{q}.{i}, ptr %{p}.po{q}.{i}, align {ALIGN}")
-    return o
 
 
 def eliminate(

@@ -12,8 +12,8 @@ import numpy as np
 
 from wbmpc.kernel import dense
 from wbmpc.kernel.codegen_target import vector_budget
+from wbmpc.kernel.products import matrix_product, sparse_product, transposed_product
 from wbmpc.kernel.sizes import Sizes
-from wbmpc.kernel.sparse_products import sparse_product, transposed_product
 
 #: ε of the equality rows, relative to the diagonal of their Schur complement.
 RELATIVE_SOFTNESS = 1e-12
@@ -28,7 +28,7 @@ def _parts(s: Sizes, columns: list[list[int]], held: Sequence[Sequence[int]], to
     """The functions that a step calls, those of equalities included. ``touched``: the inputs from there on are in no equality."""
     nx1, nu, ng, lx, lz, lg, first, budget = s.nx + 1, s.nu, s.ng, s.lx, s.lz, s.lg, s.first, vector_budget()
     xb, zb, gb = lx // 8, lz // 8, lg // 8
-    product = partial(dense.matrix_product, budget=budget)
+    product = partial(matrix_product, budget=budget)
     parts = [
         transposed_product("k_w", columns, nx1, lz, lx, lz, budget),
         sparse_product("k_m", zb, columns, nx1, (lz, 1, lz, lz, lz), budget, 0),

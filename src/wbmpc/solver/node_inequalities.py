@@ -40,11 +40,11 @@ from wbmpc.solver.memory_layout import (
     ROW_L,
     ROW_PRODUCTS,
     ROW_S,
-    ROW_SCALED,
     ROW_T,
     ROW_TRIAL,
     ROW_Y,
     ROWS,
+    SIGNED,
     SMALL,
     STATE,
     N,
@@ -118,12 +118,11 @@ def add_general(
     """Jᵀ w σ J of general rows (with e in the constant's column) onto a matrix of the extended node vector."""
     lz, base = o[LZ], o[BASE]
     if k < o[N]:
-        for j in range(general):
-            scale = w * m[o[ROW_C] + offset + j]
-            for c in range(0, lz, LANES):
-                out, row = o[ROW_SCALED] + j * lz + c, jacobian + j * lz + c
-                m[out : out + LANES] = scale * m[row : row + LANES]
-        call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * o[ROW_SCALED], base + 8 * matrix)
+        weights = o[SIGNED]
+        for j in range(0, general, LANES):
+            q = offset + j
+            m[weights + j : weights + j + LANES] = w * m[o[ROW_C] + q : o[ROW_C] + q + LANES]
+        call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * weights, base + 8 * matrix)
         return
     for j in range(general):
         scale, row = w * m[o[ROW_C] + offset + j], jacobian + j * lz

@@ -97,9 +97,8 @@ def linearize_block(m: Floats, o: Integers, first: int, count: int, slot: int) -
     matrix = o[H] + slot * size
     load_block(m, o, first, count, o[X], o[U])
     linearize_dynamics(m, o, first, count)
-    if (
-        o[ROW_GENERAL] + o[EXACT] + o[NONLINEAR_EQUALITIES] > 0
-    ):  # rows and second derivatives add where the cost's functions write nothing
+    if o[EXACT] + o[NONLINEAR_INPUT_ROWS] + o[NONLINEAR_EQUALITIES] > 0:
+        # second derivatives add where the cost's functions write nothing
         for i in range(count * size):
             m[matrix + i] = 0.0
     stage_lanes(o, LANES_COST_Q, x, u, o[LANE_SMALL] + LANE_COST, o[LANE_MATRIX], o[LANE_MATRIX])
