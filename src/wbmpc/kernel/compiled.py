@@ -13,6 +13,7 @@ import numpy as np
 
 from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
+from wbmpc.kernel.box_rows import emit_add_boxes, emit_box_values
 from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
 from wbmpc.kernel.riccati import emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
@@ -31,7 +32,8 @@ _EIGHT = (
     "dynamics", "cost", "equality", "rows", "dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian",
 )  # fmt: skip
 _KERNELS = (
-    "riccati_node", "step_node", "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
+    "riccati_node", "step_node", "box_values", "box_changes", "add_boxes",
+    "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
     "unpack_equalities", "unpack_rows",
 )  # fmt: skip
 #: Order of the addresses in :attr:`Kernel.addresses`.
@@ -190,6 +192,11 @@ def _emit_blocks(
     ]
 
 
+def _row_variables(transcription: Transcription) -> list[int]:
+    """The variables in [x; u] of the rows of one variable along the path."""
+    return [row.variable for row in transcription.path.boxes]
+
+
 def unsupported(transcription: Transcription) -> str:
     """Which term, or the dynamics, has an operation that cannot be compiled, in a message; empty if none has."""
     stages = (("path", "term"), ("terminal", "terminal term"))
@@ -222,6 +229,9 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
         emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget()),
     ]
     parts.append(emit_row_products(pattern, sizes.lz))
+    variables = [v if v < sizes.nx else v + 1 for v in _row_variables(transcription)]
+    parts += [emit_box_values(f"box_{n}", sizes.nx, variables, n == "values") for n in ("values", "changes")]
+    parts.append(emit_add_boxes("add_boxes", sizes.nx, variables, sizes.lz))
     return "\n".join(parts), sizes
 
 
@@ -234,9 +244,9 @@ def problem_key(transcription: Transcription) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
-    # nor are the entries that a step's derivative can have
+    # nor are the entries that a step's derivative can have, and the variables of rows
     ocp = transcription.ocp
-    digest.update(repr([ocp.integrator, list(ocp.dynamics.unit_quaternions)]).encode())
+    digest.update(repr([ocp.integrator, list(ocp.dynamics.unit_quaternions), _row_variables(transcription)]).encode())
     text = [target_text(), transcription.exact, getattr(ca, "__version__", ""), cache.source_fingerprint()]
     digest.update(json.dumps(text).encode())
     return digest.hexdigest()

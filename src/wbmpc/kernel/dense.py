@@ -58,6 +58,9 @@ class Body(Lines):
     def load(self, array: str, offset: int) -> str:
         return self.new(f"load {V}, ptr {self.address(array, offset)}, align {ALIGN}")
 
+    def load_unaligned(self, array: str, offset: int) -> str:
+        return self.new(f"load {V}, ptr {self.address(array, offset)}, align 8")
+
     def load_scalar(self, array: str, offset: int) -> str:
         return self.new(f"load double, ptr {self.address(array, offset)}")
 
