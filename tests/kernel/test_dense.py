@@ -11,7 +11,7 @@ from effort import draws
 from toys import aligned_copy, call_pointers, compile_ir
 from wbmpc.kernel import dense
 from wbmpc.kernel.products import matrix_product
-from wbmpc.kernel.riccati import emit_riccati_node, emit_step_node
+from wbmpc.kernel.riccati import emit_curvature_node, emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.solver.workspace import aligned
@@ -157,3 +157,23 @@ def test_step_node(nx: int, nu: int, known: bool, seed: int) -> None:
     np.testing.assert_allclose(x[s.lx :], [*following, 1.0, *[0.0] * (s.lx - nx - 1)], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sums[:8].sum(), g[:nx] @ x[:nx] + g[s.first : s.nz] @ want, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sums[8:].max(), np.abs([*want, *following]).max(), rtol=1e-12)
+
+
+@settings(max_examples=draws(8, 30), deadline=None, derandomize=True)
+@given(st.integers(1, 20), st.integers(1, 12), st.integers(0, 99))
+def test_curvature_node(nx: int, nu: int, seed: int) -> None:
+    """Only what is above the diagonal is read, and nothing of the constant's entries counts."""
+    s, r = Sizes(nx, nu, 0, 0, 0), np.random.default_rng(seed)
+    h, x, u, pulled, shift = r.normal(size=(s.nz, s.lz)), aligned(s.lx), r.normal(size=nu + 8), aligned(s.lz), 0.3
+    x[: nx + 1], pulled[: s.nz] = [*r.normal(size=nx), 1.0], r.normal(size=s.nz)
+    pulled[nx], h[:, nx] = 1e6, np.where(np.arange(s.nz) >= nx, 1e6, h[:, nx])
+    sums = aligned(16)
+    _engine, address = compile_kernel(emit_curvature_node(s), "curvature_node")
+    call_pointers(address, aligned_copy(h), x, u, pulled, np.array([shift]), aligned(s.lz + 8), sums)
+    upper = np.triu(h[:, : s.nz].T)
+    index = [i for i in range(s.nz) if i != nx]
+    symmetric = (upper + upper.T - np.diag(np.diag(upper)))[np.ix_(index, index)]
+    z = np.concatenate([x[:nx], u[:nu]])
+    y = symmetric @ z
+    np.testing.assert_allclose(sums[:8].sum(), z @ y, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(sums[8:].max(), np.abs(y - shift * z - pulled[index]).max(), rtol=1e-12)

@@ -15,7 +15,7 @@ from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
 from wbmpc.kernel.box_rows import emit_add_boxes, emit_box_values
 from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
-from wbmpc.kernel.riccati import emit_riccati_node, emit_step_node
+from wbmpc.kernel.riccati import emit_curvature_node, emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
 from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
@@ -32,7 +32,7 @@ _EIGHT = (
     "dynamics", "cost", "equality", "rows", "dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian",
 )  # fmt: skip
 _KERNELS = (
-    "riccati_node", "step_node", "box_values", "box_changes", "add_boxes",
+    "riccati_node", "step_node", "curvature_node", "box_values", "box_changes", "add_boxes",
     "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
     "unpack_equalities", "unpack_rows",
 )  # fmt: skip
@@ -226,6 +226,7 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     parts += [
         emit_riccati_node(sizes, step, held),
         emit_step_node(sizes, step),
+        emit_curvature_node(sizes),
         emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget()),
     ]
     parts.append(emit_row_products(pattern, sizes.lz))

@@ -115,6 +115,9 @@ class Body(Lines):
     def add(self, a: str, b: str) -> str:
         return self.new(f"fadd {V} {a}, {b}")
 
+    def subtract(self, a: str, b: str) -> str:
+        return self.new(f"fsub {V} {a}, {b}")
+
     def larger(self, a: str, b: str) -> str:
         """Lane by lane the larger number, that of ``a`` where b is none."""
         mask = self.new(f"fcmp ogt {V} {b}, {a}")

@@ -129,3 +129,42 @@ def emit_step_node(s: Sizes, pattern: np.ndarray | None = None) -> str:
         largest = b.larger(largest, b.absolute(states))
     b.store(largest, "S", 8)
     return b.text()
+
+
+def emit_curvature_node(s: Sizes) -> str:
+    """y = H z of a node's step z = [X, 0, U], by what of H is above the diagonal; arguments H, X, U, PULLED, SHIFT, Z (scratch, lz + 8), S.
+
+    S: two vectors, onto which z y and the largest |y − SHIFT z − PULLED| go lane by lane, the constant's left out.
+    """
+    nx, nz, b = s.nx, s.nz, dense.Body("curvature_node", "H X U PULLED SHIFT Z S")
+    groups = range(s.lz // 8)
+    kept = lambda vector, group, keep: b.shuffle(
+        vector, "zeroinitializer", [q if keep(8 * group + q) else 8 for q in range(8)]
+    )
+    for g in range(s.lx // 8):
+        b.store(kept(b.load("X", 8 * g), g, lambda i: i < nx), "Z", 8 * g)
+    for first in range(0, s.nu, 8):
+        count = min(8, s.nu - first)
+        b.store_some(b.load_unaligned("U", first), count, "Z", nx + 1 + first)
+    z = [kept(b.load("Z", 8 * g), g, lambda i: i < nz) for g in groups]
+    y = ["zeroinitializer"] * len(groups)
+    for own in groups:
+        dots = []
+        for j in range(8 * own, min(8 * own + 8, nz)):
+            by, total = b.spread(z[own], j - 8 * own), "zeroinitializer"
+            for g in range(own + 1):
+                column = b.load("H", j * s.lz + 8 * g)
+                above = column if g < own else kept(column, g, lambda i, j=j: i < j)
+                y[g] = b.fma(column if g < own else kept(column, g, lambda i, j=j: i <= j), by, y[g])
+                total = b.fma(above, z[g], total)
+            dots.append(total)
+        y[own] = b.add(y[own], b.sums(dots))
+    products, largest, shift = b.load("S", 0), b.load("S", 8), b.negate(b.spread_from("SHIFT", 0))
+    for g in groups:
+        found = kept(y[g], g, lambda i: i != nx)
+        products = b.fma(found, z[g], products)
+        left = b.subtract(b.fma(shift, z[g], found), kept(b.load("PULLED", 8 * g), g, lambda i: i != nx))
+        largest = b.larger(largest, b.absolute(left))
+    b.store(products, "S", 0)
+    b.store(largest, "S", 8)
+    return b.text()

@@ -19,6 +19,7 @@ from wbmpc.solver.exact import costate_end, exact_end, exact_node
 from wbmpc.solver.memory_layout import (
     AB,
     BASE,
+    CURVATURE,
     DU,
     DX,
     END_BOXES,
@@ -265,22 +266,24 @@ def kkt_residual(m: Floats, o: Integers) -> tuple[float, float]:
     With the quadratic problem's multipliers −H δz is the Lagrangian's gradient at the iterate, H without what the rows and
     the shift have put into it; the second number is with them.
     """
-    n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, curvature, nz, shift = 0.0, 0.0, nx + 1 + nu, m[o[STATE] + StateField.SHIFT]
+    n, nx, nu, lx, lz, base = o[N], o[NX], o[NU], o[LX], o[LZ], o[BASE]
+    shift, curvatures = m[o[STATE] + StateField.SHIFT], o[SCRATCH] + lz + LANES
+    residuals = curvatures + LANES
+    m[curvatures : curvatures + LANES] = np.full(LANES, 0.0)
+    m[residuals : residuals + LANES] = np.full(LANES, 0.0)
     for k in range(n):
-        h, dx, du = o[H] + k * nz * lz, o[DX] + k * lx, o[DU] + k * nu - nx - 1
         add_rows_product(m, o, k, m[o[GRID] + k + 1] - m[o[GRID] + k])
-        for i in range(nz):
-            if i == nx:
-                continue
-            total = 0.0
-            for j in range(nz):
-                if j != nx:
-                    low, high = (j, i) if j < i else (i, j)
-                    total += m[h + high * lz + low] * (m[dx + j] if j < nx else m[du + j])
-            step = m[dx + i] if i < nx else m[du + i]
-            curvature += total * step
-            largest = max(largest, abs(total - shift * step - m[o[PULLED] + i]))
+        call7(
+            o[CURVATURE],
+            base + 8 * (o[H] + k * (nx + 1 + nu) * lz),
+            base + 8 * (o[DX] + k * lx),
+            base + 8 * (o[DU] + k * nu),
+            base + 8 * o[PULLED],
+            base + 8 * (o[STATE] + StateField.SHIFT),
+            base + 8 * o[SCRATCH],
+            base + 8 * curvatures,
+        )
+    largest, curvature = 0.0, 0.0
     add_rows_product(m, o, n, 1.0)
     for i in range(nx):
         total = 0.0
@@ -288,4 +291,5 @@ def kkt_residual(m: Floats, o: Integers) -> tuple[float, float]:
             total += m[o[TERMINAL] + i * lx + j] * m[o[DX] + n * lx + j]
         curvature += total * m[o[DX] + n * lx + i]
         largest = max(largest, abs(total - shift * m[o[DX] + n * lx + i] - m[o[PULLED] + i]))
-    return largest, curvature
+    most = np.max(m[residuals : residuals + LANES])
+    return max(largest, most), curvature + np.sum(m[curvatures : curvatures + LANES])
