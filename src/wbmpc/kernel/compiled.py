@@ -154,7 +154,7 @@ def extended_pattern(jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
     return pattern
 
 
-def _equality_inputs(jacobian: ca.Sparsity, sizes: Sizes) -> list[list[int]]:
+def equality_inputs(jacobian: ca.Sparsity, sizes: Sizes) -> list[list[int]]:
     """Of every equality row the inputs that it holds."""
     inputs: list[list[int]] = [[] for _ in range(sizes.ng)]
     for q, c in zip(*jacobian.get_triplet(), strict=True):
@@ -222,7 +222,7 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     parts += _emit_blocks(transcription, functions, maps, sizes)
     pattern = rows_pattern(functions, sizes)
     jacobian, equality = functions["dynamics_jacobian"].sparsity_out(1), functions["equality_jacobian"].sparsity_out(1)
-    step, held = step_pattern(transcription, jacobian, sizes), _equality_inputs(equality, sizes)
+    step, held = step_pattern(transcription, jacobian, sizes), equality_inputs(equality, sizes)
     parts += [
         emit_riccati_node(sizes, step, held),
         emit_step_node(sizes, step),
