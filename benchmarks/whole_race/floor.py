@@ -11,6 +11,7 @@ import numpy as np
 from wbmpc.benchmark.problems import Problem
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.race import milliseconds, peak_gflops, single_iteration
+from wbmpc.kernel.compiled import equality_inputs, step_pattern
 from wbmpc.kernel.ir import LANES
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.solver.workspace import aligned
@@ -27,15 +28,17 @@ def operations(function: ca.Function) -> tuple[int, int]:
     return sum(c not in _FREE for c in codes), sum(c in _CALLS for c in codes)
 
 
-def riccati_operations(s: Sizes) -> int:
-    """Operations of one Riccati step, without the padding: products, factorizations, substitutions."""
-    x, z, u, g = s.nx + 1, s.nz, s.nu, s.ng
+def riccati_operations(s: Sizes, entries: np.ndarray, touched: int) -> int:
+    """Operations of one Riccati step, without the padding: products, factorizations, substitutions; of symmetric matrices one half.
+
+    ``entries`` (nz,): how many every column of [A b B; 0 1 0] has; ``touched``: how many inputs are in equalities."""
+    x, z, u, g, d = s.nx + 1, s.nz, s.nu, s.ng, touched
     cholesky = sum((2 * (u - 1 - j) + 1) * (s.first + j + 1) for j in range(u))
-    total = 2 * z * x * x + 2 * x * x * x + 2 * z * u * x + 2 * x * x * u + cholesky + u * u * x
+    total = int(2 * x * entries.sum() + 2 * entries @ np.arange(1, z + 1)) + u * x * (x + 1) + cholesky + u * u * x
     if g:  # U⁻¹Dᵀ, Schur complement and its factor, value function, multipliers, gains; then all once more for what is left
-        total += g * u * u + 2 * x * g * u + 2 * g * g * u + g**3 // 3 + g * g * x + 2 * x * x * g
-        total += g * g * x + 2 * x * u * g
-        total += 2 * x * g * u + 2 * x * g + 2 * g * g * x + 2 * x * u * g + u * u * x
+        total += g * d * d + 2 * x * g * d + 2 * g * g * d + g**3 // 3 + g * g * x + x * (x + 1) * g
+        total += g * g * x + 2 * x * d * g
+        total += 2 * x * g * d + 2 * x * g + 2 * g * g * x + 2 * x * d * g + u * u * x
     return total
 
 
@@ -48,12 +51,15 @@ def iteration_operations(program: Program, sizes: Sizes) -> dict[str, int]:
     states = sum(c < t.nx for c in pattern.get_col())
     chain = (stages - 1) * (2 * states * sizes.nz + 2 * t.nx * sizes.nz)
     linear = 2 * (t.nu * sizes.nx + t.nx * sizes.nz)
+    entries = step_pattern(t, pattern, sizes).sum(axis=0)
+    held = equality_inputs(functions["equality_jacobian"].sparsity_out(1), sizes)
+    touched = max((j + 1 for inputs in held for j in inputs), default=0)
     return {
         "dynamics with Jacobian": n * stages * count["dynamics_jacobian"],
         "chain rule": n * chain,
         "cost with Hessian": n * count["cost_quadratic"] + count["terminal_quadratic"],
         "equalities with Jacobian": n * count["equality_jacobian"],
-        "Riccati": n * riccati_operations(sizes),
+        "Riccati": n * riccati_operations(sizes, entries, touched),
         "step": n * linear,
         "trial: dynamics": n * stages * count["dynamics"],
         "trial: cost": n * count["cost"] + count["terminal"],
@@ -73,7 +79,7 @@ def _chain_time(problem: Problem, blocks: int, repeat: int) -> float:
     size = LANES * kernel.sizes.nx * kernel.sizes.lz
     room, weights = aligned(4 * size), aligned(2 * LANES)
     weights[:] = 0.01
-    address = kernel.address("chain_lanes")
+    address = kernel.address("chain_first")
     return _net(lambda count: loops.chain_all(address, room, size, count, weights), blocks, repeat)
 
 

@@ -18,7 +18,8 @@ from wbmpc.benchmark.program import Program, Samples, compiler, sampled
 from wbmpc.benchmark.race import milliseconds, single_iteration
 from wbmpc.kernel import Kernel
 from wbmpc.kernel.cache import trusted_file
-from wbmpc.kernel.compiled import RELATIVE_SOFTNESS, output_maps
+from wbmpc.kernel.compiled import output_maps
+from wbmpc.kernel.riccati import RELATIVE_SOFTNESS
 from wbmpc.ocp import Transcription
 from whole_race.lq import LQProblem, eliminate, linearize, pack
 

@@ -68,37 +68,42 @@ class Tally:
                 self.count += 2 * k + 1  # what is known, and the division by the diagonal
 
 
+@pytest.mark.parametrize("share", [0.1, 1.0])
 @pytest.mark.parametrize("nx, nu", [(2, 1), (5, 3), (16, 9)])
-def test_operations_of_a_riccati_step_without_rows(nx: int, nu: int) -> None:
+def test_operations_of_a_riccati_step_without_rows(nx: int, nu: int, share: float) -> None:
     x, tally = nx + 1, Tally()  # the state has a one behind it, for the gradient
-    tally.product(x + nu, x, x)  # [A B]ᵀ P
-    tally.product(x, x, x)  # … [A b]
-    tally.product(x + nu, nu, x)  # … B
+    step = np.random.default_rng(nx).uniform(size=(x, x + nu)) <= share
+    for _, j in np.argwhere(step):  # every entry of [A b B]
+        tally.product(x, 1, 1)  # in P [A b B]
+        tally.product(j + 1, 1, 1)  # in [A b B]ᵀ … above the diagonal
     for j in reversed(range(nu)):  # elimination of the inputs from the last, the rows above with it
         for _ in range(x + j + 1):
             tally.count += 2 * (nu - 1 - j) + 1
     tally.solve(nu, x)  # gains
-    tally.product(x, x, nu)  # value function
-    assert riccati_operations(Sizes(nx, nu, 0, 0, 0)) == tally.count
+    for j in range(x):
+        tally.product(j + 1, 1, nu)  # value function, above the diagonal
+    assert riccati_operations(Sizes(nx, nu, 0, 0, 0), step.sum(axis=0), 0) == tally.count
 
 
 def test_rows_cost_what_two_passes_of_their_schur_complement_cost() -> None:
-    nx, nu, g, tally = 21, 21, 8, Tally()
+    nx, nu, g, held, tally = 21, 21, 8, 15, Tally()
     x = nx + 1
-    tally.solve(nu, g)  # U⁻¹ Dᵀ
-    tally.product(x, g, nu)  # C and e after the elimination of the inputs
-    tally.product(g, g, nu)  # Schur complement
+    tally.solve(held, g)  # U⁻¹ Dᵀ, of the inputs up to the last one in a row
+    tally.product(x, g, held)  # C and e after the elimination of the inputs
+    tally.product(g, g, held)  # Schur complement
     tally.count += g**3 // 3  # its factor
-    tally.product(x, x, g)  # value function
+    for j in range(x):
+        tally.product(j + 1, 1, g)  # value function, above the diagonal
     for _ in range(2):
         tally.solve(g, x)  # forwards
         tally.solve(g, x)  # backwards
-        tally.product(x, nu, g)  # on the inputs
-    tally.product(x, g, nu)  # what is left of the rows
+        tally.product(x, held, g)  # on the inputs
+    tally.product(x, g, held)  # what is left of the rows
     tally.product(x, g, 1)
     tally.solve(nu, x)  # gains again
-    without = riccati_operations(Sizes(nx, nu, 0, 0, 0))
-    assert riccati_operations(Sizes(nx, nu, g, 0, 0)) - without == tally.count
+    full = np.full(nx + 1 + nu, nx + 1)
+    without = riccati_operations(Sizes(nx, nu, 0, 0, 0), full, held)
+    assert riccati_operations(Sizes(nx, nu, g, 0, 0), full, held) - without == tally.count
 
 
 def test_the_peak_is_that_of_a_processor() -> None:

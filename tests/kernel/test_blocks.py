@@ -61,26 +61,30 @@ def test_unpack_of_nothing() -> None:
 
 
 @pytest.mark.parametrize("width", [2, 4, 8])
+@pytest.mark.parametrize("start", [None, 0.0, 0.5])
 @settings(max_examples=6, deadline=None)
-@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 99))
-def test_chain(width: int, nx: int, nu: int, seed: int) -> None:
+@given(st.integers(1, 9), st.integers(1, 9), st.sampled_from([0.05, 0.6]), st.integers(0, 99))
+def test_chain(width: int, start: float | None, nx: int, nu: int, share: float, seed: int) -> None:
+    """Few entries in a row, and many; what cannot differ from zero stays as it is."""
     r = np.random.default_rng(seed)
     nz, lz = nx + 1 + nu, dense.pad(nx + 1 + nu)
-    j, mask = np.zeros((8, nx, lz)), r.uniform(size=(nx, nx)) < 0.6
-    j[:, :, :nx] = r.normal(size=(8, nx, nx)) * mask
-    j[:, :, nx + 1 : nz] = r.normal(size=(8, nx, nu))
-    s, a = np.zeros((8, nx, lz)), np.zeros((8, nx, lz))
-    s[..., :nz], a[..., :nz] = r.normal(size=(8, nx, nz)), r.normal(size=(8, nx, nz))
+    own = r.uniform(size=(nx, nz)) < share
+    own[:, nx] = False
+    step = blocks.sensitivity_pattern(own, 2, ())
+    j, s, a = (np.zeros((8, nx, lz)) for _ in range(3))
+    j[:, :, :nz], s[:, :, :nz] = r.normal(size=(8, nx, nz)) * own, r.normal(size=(8, nx, nz)) * own
+    a[:, :, :nz] = r.normal(size=(8, nx, nz)) * step
     c, w = r.normal(size=8), r.normal(size=8)
-    pattern = [list(map(int, np.flatnonzero(row))) for row in mask]
-    engine = compiled(blocks.chain(pattern, nz, lz, width), width)
+    engine = compiled(blocks.chain("chain", own, step, 2, lz, width, start), width)
     lanes = lambda m: aligned_copy(np.ascontiguousarray(m.transpose(1, 2, 0)))
     t, total = lanes(np.zeros_like(j)), lanes(a)
-    address = engine.get_function_address("chain_lanes")  # type: ignore[attr-defined]
+    address = engine.get_function_address("chain")  # type: ignore[attr-defined]
     call_pointers(address, lanes(j), lanes(s), t, total, aligned_copy(np.array([c, w])))
-    want = j + c[:, None, None] * (j[:, :, :nx] @ s)
-    np.testing.assert_allclose(t.transpose(2, 0, 1), want, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(total.transpose(2, 0, 1), a + w[:, None, None] * want, rtol=1e-12, atol=1e-13)
+    want, by = j + c[:, None, None] * (j[:, :, :nx] @ s), w[:, None, None]
+    base = a if start is None else np.eye(nx, lz) + by * start * s
+    np.testing.assert_allclose(total.transpose(2, 0, 1), base + by * want, rtol=1e-12, atol=1e-13)
+    if start != 0.0:
+        np.testing.assert_allclose(t.transpose(2, 0, 1), want, rtol=1e-12, atol=1e-13)
 
 
 def test_groups() -> None:

@@ -17,7 +17,18 @@ from effort import thorough
 from toys import LinearQuadratic
 from wbmpc.errors import InputError
 from wbmpc.kernel import build_kernel, cache
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Quadratic, RelaxedBarrier, SmoothL1, Transcription, sets
+from wbmpc.model.ode import Ode
+from wbmpc.ocp import (
+    Constraint,
+    Cost,
+    OptimalControlProblem,
+    Quadratic,
+    RelaxedBarrier,
+    SmoothL1,
+    Transcription,
+    residuals,
+    sets,
+)
 from wbmpc.solver import SQP, Solver
 
 
@@ -250,6 +261,22 @@ def test_norms_belong_to_the_key(folder: Path) -> None:
     for norm, mu in (*((n, 0.1) for n in norms), (SmoothL1(1.0), 0.2)):
         assert not build_kernel(Transcription(problem(norm, mu))).from_cache
         assert build_kernel(Transcription(problem(norm, mu))).from_cache
+
+
+def test_the_integrator_belongs_to_the_key(folder: Path) -> None:
+    """It is not in the values either, but decides which entries a step's derivative has: a chain of twelve integrators ends in other
+    columns by four stages than by two."""
+
+    def gains(integrator: str, use_cache: bool) -> np.ndarray:
+        chain = Ode({"x": [str(i) for i in range(12)]}, {"u": ["0"]}, lambda x, u: ca.vertcat(x[1:], u))
+        ocp = OptimalControlProblem(chain, 6.0, 6, integrator=integrator)
+        ocp.add(Cost("all", residuals.Expression(13, lambda s: ca.vertcat(s.x - 0.3, s.u)), 1.0))
+        solver = Solver(ocp, SQP(iterations=1, compute_kkt=False), use_cache=use_cache)
+        solver._run(np.zeros(12))
+        return solver.ws.k.copy()
+
+    for integrator in ("rk2", "rk4"):
+        np.testing.assert_array_equal(gains(integrator, True), gains(integrator, False))
 
 
 SCRIPT = """

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics, call_lanes, call_scalar, pendulum, random_stage, rezero_solver, swerve_solver
-from wbmpc.kernel.compiled import lane_maps, output_maps
+from wbmpc.kernel.compiled import lane_maps, matrix_groups, output_maps
 from wbmpc.ocp import Cost, OptimalControlProblem
 from wbmpc.solver import SQP, Solver, riccati
 from wbmpc.solver import memory_layout as places
@@ -106,8 +106,12 @@ def test_values_of_eight_nodes(solver, name: str) -> None:  # type: ignore[no-un
 def test_derivatives_of_eight_nodes(solver, name: str) -> None:  # type: ignore[no-untyped-def]
     """Also: the non-zeros are where the unpacking of the groups takes them from."""
     sizes, function = solver.kernel.sizes, solver.problem.derivatives[name]
-    whole = output_maps({**solver.problem.values, **solver.problem.derivatives}, sizes)
-    maps, size = lane_maps(whole)[name], sizes.nz * sizes.lz + sizes.equality_buffer() + 8
+    functions = {**solver.problem.values, **solver.problem.derivatives}
+    whole = output_maps(functions, sizes)
+    maps, size = (
+        lane_maps(whole, matrix_groups(functions, whole, sizes))[name],
+        sizes.nz * sizes.lz + sizes.equality_buffer() + 8,
+    )
     arguments = eight_stages(solver, 6)[: function.n_in()]
     got = call_lanes(solver.kernel.address(f"lanes.{name}"), arguments, [size] * function.n_out(), shared=(3,))
     for k in range(8):

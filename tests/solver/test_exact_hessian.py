@@ -10,6 +10,7 @@ import pytest
 from effort import thorough
 from toys import Rows, ToyDynamics, hardened_pendulum, pendulum, rezero_solver, robot
 from wbmpc.errors import InputError
+from wbmpc.kernel.second_derivatives import SECOND
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.inequalities import start_rows
@@ -192,6 +193,34 @@ def test_a_solve_that_gauss_newton_would_not_finish_goes_on_with_the_exact_hessi
     assert solver.solve(np.zeros(1)).iterations == first.iterations
     solver.warm_start(np.zeros(1), np.full(1, 0.5))
     assert solver.status(solver._run(np.zeros(1))[0]) is Status.ITERATION_LIMIT
+
+
+@pytest.mark.parametrize("rows", [False, True])
+def test_nothing_of_it_stays_behind(rows: bool) -> None:
+    """Iterations of Gauss-Newton after those of the exact Hessian are those of a solver that never had one, bit by bit: sums of cubes of
+    distant states have second derivatives where a diagonal cost has none."""
+    n = 18
+    curved = lambda x, u, w, m: ca.vertcat(x[1:] + 0.1 * x[0] * x[-1] * u, u)
+    ocp = OptimalControlProblem(ToyDynamics(n, 1, curved), 1.0, 9)
+    ocp.add(Cost("all", Rows(n + 1, lambda s: ca.vertcat(s.x - 0.3, s.u)), 1.0, at="path"))
+    if rows:
+        ocp.add(Constraint("near", Rows(1, lambda s: 2.0 - s.x[0] ** 2), sets.NonNegative(), hard=True))
+    solver = Solver(ocp, SQP(iterations=2), use_cache=False)
+
+    def gains() -> np.ndarray:
+        solver.reset()
+        solver.warm_start(np.full(n, 0.2), np.zeros(1))
+        solver._run(np.full(n, 0.1))
+        return solver.ws.k.copy()
+
+    first = gains()
+    exact = solver.hessian._compile()
+    assert exact is not None
+    solver.hessian._use(exact.addresses, True)
+    assert np.abs(gains() - first).max() > 1e-6
+    assert solver.kernel is not None
+    solver.hessian._use([solver.kernel.address(name) for name in SECOND], False)
+    np.testing.assert_array_equal(gains(), first)
 
 
 def test_a_solve_that_finishes_in_time_stays_with_gauss_newton() -> None:

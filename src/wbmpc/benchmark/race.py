@@ -19,6 +19,7 @@ from wbmpc.kernel import dense
 from wbmpc.kernel.codegen_target import compile_module, load_object, vector_budget
 from wbmpc.kernel.ir import Floats, PointerCall
 from wbmpc.kernel.library import Library
+from wbmpc.kernel.products import matrix_product
 from wbmpc.report import versions
 from wbmpc.solver import SQP, InteriorPoint, Solver
 from wbmpc.solver.workspace import aligned
@@ -125,7 +126,7 @@ def repeat_product(address: int, a: Floats, b: Floats, c: Floats, count: int) ->
 @cache
 def peak_gflops(inner: int = 48) -> float:
     """GFLOP/s of one core on products (24 × ``inner``)(``inner`` × 48) in the first-level cache, by our own kernel."""
-    ir = dense.FMA + "\n" + dense.matrix_product("peak", 3, 48, inner, 24, inner, 1, 24, None, False, vector_budget())
+    ir = dense.FMA + "\n" + matrix_product("peak", 3, 48, inner, 24, inner, 1, 24, None, False, vector_budget())
     engine = load_object(compile_module(ir))
     a, b, c = aligned(24 * inner), aligned(48 * inner), aligned(24 * 48)
     a[:], b[:], count = 1.0, 1.0, 1000

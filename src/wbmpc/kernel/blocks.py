@@ -10,30 +10,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from wbmpc.kernel.dense import FMA, V
-from wbmpc.kernel.ir import LANES
-
-#: Where eight vectors of a square meet: even and odd entries, then pairs, then halves.
-_MIXES = (
-    ((0, 8, 2, 10, 4, 12, 6, 14), (1, 9, 3, 11, 5, 13, 7, 15), 1),
-    ((0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15), 2),
-    ((0, 1, 2, 3, 8, 9, 10, 11), (4, 5, 6, 7, 12, 13, 14, 15), 4),
-)
-
-
-def _transposed(names: list[str], lines: list[str]) -> list[str]:
-    """Eight vectors as the columns of a square, transposed."""
-    for number, (low, high, distance) in enumerate(_MIXES):
-        result = list(names)
-        for i in (i for i in range(LANES) if not i & distance):
-            for target, order in ((i, low), (i + distance, high)):
-                indices = ", ".join(f"i32 {q}" for q in order)
-                lines.append(
-                    f"%t{number}.{target} = shufflevector {V} {names[i]}, {V} {names[i + distance]}, <8 x i32> <{indices}>"
-                )
-                result[target] = f"%t{number}.{target}"
-        names = result
-    return names
+from wbmpc.kernel.dense import FMA, V, transposed
+from wbmpc.kernel.ir import LANES, Lines
 
 
 def _lane_pointers() -> list[str]:
@@ -62,7 +40,7 @@ def pack() -> str:
     for i in range(LANES):
         body.append(f"%p{i} = getelementptr double, ptr %q{i}, i64 %o")
         body.append(f"%i{i} = load {V}, ptr %p{i}, align 8")
-    found = _transposed([f"%i{i}" for i in range(LANES)], body)
+    found = transposed([f"%i{i}" for i in range(LANES)], body)
     body.append("%to = mul i64 %g, 64")
     for i in range(LANES):
         body.append(f"%o{i} = add i64 %to, {8 * i}")
@@ -87,7 +65,7 @@ def unpack(name: str, groups: Iterable[int], whole: bool = False) -> str:
         body.append(f"%o{i} = add i64 %from, {8 * i}")
         body.append(f"%p{i} = getelementptr double, ptr %lanes, i64 %o{i}")
         body.append(f"%i{i} = load {V}, ptr %p{i}, align 64")
-    found = _transposed([f"%i{i}" for i in range(LANES)], body)
+    found = transposed([f"%i{i}" for i in range(LANES)], body)
     for i in range(LANES):
         body.append(f"%w{i} = getelementptr double, ptr %q{i}, i64 %start")
         body.append(f"store {V} {found[i]}, ptr %w{i}, align 64")
@@ -102,44 +80,110 @@ def declarations(width: int) -> str:
     return text if width == 8 else text + "\n" + FMA.replace("8 x", f"{width} x").replace("v8", f"v{width}")
 
 
-def chain(pattern: list[list[int]], nz: int, ld: int, width: int) -> str:
+class _Chain(Lines):
+    """Code of one pass of a stage's sensitivities: as many of the eight nodes as the target's registers hold."""
+
+    def __init__(self, width: int, ld: int, start: float | None) -> None:
+        self.lines, self.count = list[str](), 0
+        self.t, self.width, self.ld, self.start = f"<{width} x double>", width, ld, start
+
+    def at(self, array: str, entry: str | int) -> str:
+        """Address of an entry's vector."""
+        offset = LANES * entry if isinstance(entry, int) else self.new(f"mul i64 {entry}, {LANES}")
+        return self.new(f"getelementptr double, ptr %{array}, i64 {offset}")
+
+    def load(self, array: str, entry: str | int) -> str:
+        return self.new(f"load {self.t}, ptr {self.at(array, entry)}")
+
+    def store(self, value: str, array: str, entry: str | int) -> None:
+        self.lines.append(f"store {self.t} {value}, ptr {self.at(array, entry)}")
+
+    def fma(self, a: str, b: str, c: str) -> str:
+        return self.new(f"call {self.t} @llvm.fmuladd.v{self.width}f64({self.t} {a}, {self.t} {b}, {self.t} {c})")
+
+    def factors(self, r: int, states: Iterable[int]) -> dict[int, str]:
+        """c Jx of row r."""
+        return {s: self.new(f"fmul {self.t} %c, {self.load('j', r * self.ld + s)}") for s in states}
+
+    def entry(self, at: str | int, slope: str, unit: bool) -> None:
+        """T and A of an entry whose slope is known."""
+        if self.start is None:
+            self.store(slope, "t", at)
+            total = self.load("a", at)
+        else:
+            total = splat(1.0) if unit else "zeroinitializer"
+            if self.start > 0.0:
+                self.store(slope, "t", at)
+                slope = self.fma(self.load("s", at), splat(self.start), slope)
+        self.store(self.fma(slope, "%w", total), "a", at)
+
+    def full_row(self, r: int, factors: dict[int, str], nz: int) -> None:
+        """All entries of a row in a loop."""
+        self.lines += [
+            f"br label %h{r}",
+            f"h{r}:",
+            f"br label %b{r}",
+            f"b{r}:",
+            f"%z{r} = phi i64 [0, %h{r}], [%n{r}, %b{r}]",
+        ]
+        place = lambda row: self.new(f"add i64 %z{r}, {row * self.ld}")
+        slope = self.load("j", place(r))
+        for s, factor in factors.items():
+            slope = self.fma(self.load("s", place(s)), factor, slope)
+        self.entry(place(r), slope, False)
+        self.lines += [f"%n{r} = add i64 %z{r}, 1", f"%d{r} = icmp eq i64 %n{r}, {nz}"]
+        self.lines += [f"br i1 %d{r}, label %x{r}, label %b{r}", f"x{r}:"]
+        if self.start is not None:
+            unit = self.new(f"fadd {self.t} {self.load('a', r * self.ld + r)}, {splat(1.0)}")
+            self.store(unit, "a", r * self.ld + r)
+
+    def few_entries(
+        self, r: int, factors: dict[int, str], columns: Iterable[int], own: np.ndarray, slopes: np.ndarray
+    ) -> None:
+        """Those entries of a row, one by one."""
+        for c in columns:
+            at, slope = r * self.ld + c, ""
+            if own[r, c]:
+                slope = self.load("j", at)
+            for s, factor in factors.items():
+                if slopes[s, c]:
+                    slope = self.fma(self.load("s", s * self.ld + c), factor, slope or "zeroinitializer")
+            if slope:
+                self.entry(at, slope, c == r)
+            elif self.start is not None:
+                self.store(splat(1.0) if c == r else "zeroinitializer", "a", at)
+
+
+def splat(value: float) -> str:
+    """The same number in every lane."""
+    return f"splat (double {value!r})"
+
+
+def chain(
+    name: str, jacobian: np.ndarray, step: np.ndarray, stages: int, ld: int, width: int, start: float | None
+) -> str:
     """One Runge-Kutta stage's sensitivity for eight nodes: T = J + c Jx S, A += w T; arguments J, S, T, A, C = (c, w).
 
-    J, S, T, A: (states, ld) vectors of eight nodes; ``pattern[r]``: the states that row r of J depends on.
+    J, S, T, A: (states, ld) vectors of eight nodes. ``jacobian``, ``step`` (nx, nz): where J and the step's derivative can differ from
+    zero. ``start``: A begins with I + w ``start`` S; T is left out where no stage follows, which ``start`` 0 says.
     """
-    t = f"<{width} x double>"
-    o = ["define void @chain_lanes(ptr noalias %J, ptr noalias %S, ptr noalias %T, ptr noalias %A, ptr %C) nounwind {"]
-    o += ["entry:", "br label %pass", "pass:", f"%lane = phi i64 [0, %entry], [%next, %x{len(pattern) - 1}]"]
-    o += [f"%{a.lower()} = getelementptr double, ptr %{a}, i64 %lane" for a in "JSTA"]
-    o += ["%pc = getelementptr double, ptr %C, i64 %lane", f"%pw = getelementptr double, ptr %pc, i64 {LANES}"]
-    o += [f"%c = load {t}, ptr %pc", f"%w = load {t}, ptr %pw"]
-    o.append("br label %h0")
-    for r, states in enumerate(pattern):
-        o.append(f"h{r}:")
-        for s in states:
-            o.append(f"%pf{r}.{s} = getelementptr double, ptr %j, i64 {LANES * (r * ld + s)}")
-            o.append(f"%lf{r}.{s} = load {t}, ptr %pf{r}.{s}")
-            o.append(f"%f{r}.{s} = fmul {t} %c, %lf{r}.{s}")
-        o += [f"br label %b{r}", f"b{r}:", f"%z{r} = phi i64 [0, %h{r}], [%n{r}, %b{r}]"]
-        o += [f"%v{r} = mul i64 %z{r}, {LANES}", f"%o{r} = add i64 %v{r}, {LANES * r * ld}"]
-        for a in "jta":
-            o.append(f"%p{a}{r} = getelementptr double, ptr %{a}, i64 %o{r}")
-        o.append(f"%s{r}.0 = load {t}, ptr %pj{r}")
-        for i, s in enumerate(states):
-            o.append(f"%os{r}.{s} = add i64 %v{r}, {LANES * s * ld}")
-            o.append(f"%ps{r}.{s} = getelementptr double, ptr %s, i64 %os{r}.{s}")
-            o.append(f"%ls{r}.{s} = load {t}, ptr %ps{r}.{s}")
-            arguments = f"{t} %ls{r}.{s}, {t} %f{r}.{s}, {t} %s{r}.{i}"
-            o.append(f"%s{r}.{i + 1} = call {t} @llvm.fmuladd.v{width}f64({arguments})")
-        total = f"%s{r}.{len(states)}"
-        o += [f"store {t} {total}, ptr %pt{r}", f"%la{r} = load {t}, ptr %pa{r}"]
-        o.append(f"%na{r} = call {t} @llvm.fmuladd.v{width}f64({t} {total}, {t} %w, {t} %la{r})")
-        o += [f"store {t} %na{r}, ptr %pa{r}", f"%n{r} = add i64 %z{r}, 1", f"%d{r} = icmp eq i64 %n{r}, {nz}"]
-        o += [f"br i1 %d{r}, label %x{r}, label %b{r}", f"x{r}:"]
-        if r + 1 < len(pattern):
-            o.append(f"br label %h{r + 1}")
-    o += [f"%next = add i64 %lane, {width}", f"%done = icmp eq i64 %next, {LANES}"]
-    return "\n".join([*o, "br i1 %done, label %out, label %pass", "out:", "ret void", "}"])
+    (nx, nz), slopes = step.shape, slope_pattern(jacobian, stages)
+    o = _Chain(width, ld, start)
+    o.lines += [
+        f"define void @{name}(ptr noalias %J, ptr noalias %S, ptr noalias %T, ptr noalias %A, ptr %C) nounwind {{"
+    ]
+    o.lines += ["entry:", "br label %pass", "pass:", "%lane = phi i64 [0, %entry], [%next, %again]"]
+    o.lines += [f"%{a.lower()} = getelementptr double, ptr %{a}, i64 %lane" for a in "JSTA"]
+    o.lines += ["%pc = getelementptr double, ptr %C, i64 %lane", f"%pw = getelementptr double, ptr %pc, i64 {LANES}"]
+    o.lines += [f"%c = load {o.t}, ptr %pc", f"%w = load {o.t}, ptr %pw"]
+    for r in range(nx):
+        columns, factors = np.flatnonzero(step[r] | slopes[r]), o.factors(r, np.flatnonzero(jacobian[r, :nx]))
+        if 2 * len(columns) > nz:
+            o.full_row(r, factors, nz)
+        else:
+            o.few_entries(r, factors, map(int, columns), jacobian, slopes)
+    o.lines += [f"%next = add i64 %lane, {width}", f"%done = icmp eq i64 %next, {LANES}", "br label %again", "again:"]
+    return "\n".join([*o.lines, "br i1 %done, label %out, label %pass", "out:", "ret void", "}"])
 
 
 def groups_of(offsets: Iterable[int]) -> list[int]:
@@ -153,15 +197,20 @@ def compact(offsets: Sequence[Sequence[int]], groups: list[int]) -> list[list[in
     return [[LANES * rank[o // LANES] + o % LANES for o in row] for row in offsets]
 
 
+def slope_pattern(jacobian: np.ndarray, stages: int) -> np.ndarray:
+    """Where the derivative of a Runge-Kutta stage's slope can differ from zero; ``jacobian`` (nx, …): where that of ẋ by (x, …) can."""
+    nx, found = len(jacobian), jacobian.copy()
+    for _ in range(stages - 1):
+        found |= (jacobian[:, :nx].astype(int) @ found.astype(int)) > 0
+    return found
+
+
 def sensitivity_pattern(jacobian: np.ndarray, stages: int, quaternions: Iterable[int]) -> np.ndarray:
     """Where the derivative of a Runge-Kutta step can differ from zero; ``jacobian`` (nx, nx + nu): where that of ẋ can.
 
     ``quaternions``: where unit quaternions start, which the step makes one long again.
     """
-    nx = len(jacobian)
-    found = jacobian.copy()
-    for _ in range(stages - 1):
-        found |= (jacobian[:, :nx].astype(int) @ found.astype(int)) > 0
+    nx, found = len(jacobian), slope_pattern(jacobian, stages)
     found[:, :nx] |= np.eye(nx, dtype=bool)
     for q in quaternions:
         found[q : q + 4] = found[q : q + 4].any(axis=0)

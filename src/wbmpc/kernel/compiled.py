@@ -13,16 +13,15 @@ import numpy as np
 
 from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
+from wbmpc.kernel.box_rows import emit_add_boxes, emit_box_values
 from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
+from wbmpc.kernel.riccati import emit_curvature_node, emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
 from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.kernel.sizes import Sizes
-from wbmpc.kernel.sparse_rows import emit_add_rows, emit_row_products
+from wbmpc.kernel.sparse_rows import added_groups, emit_add_rows, emit_row_products
 from wbmpc.ocp import Transcription
-
-#: ε of the equality rows, relative to the diagonal of their Schur complement.
-RELATIVE_SOFTNESS = 1e-12
 
 #: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
 _SINGLE = (
@@ -33,7 +32,8 @@ _EIGHT = (
     "dynamics", "cost", "equality", "rows", "dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian",
 )  # fmt: skip
 _KERNELS = (
-    "riccati_node", "add_rows", "row_products", "chain_lanes", "pack", "unpack_ab", "unpack_matrix",
+    "riccati_node", "step_node", "curvature_node", "box_values", "box_changes", "add_boxes",
+    "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
     "unpack_equalities", "unpack_rows",
 )  # fmt: skip
 #: Order of the addresses in :attr:`Kernel.addresses`.
@@ -98,67 +98,6 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
     return {**maps, **second_maps(functions, lz, lx, nx)}
 
 
-def emit_riccati_node(s: Sizes) -> str:
-    """One backward step; arguments AB, H, E (equality rows), EPS, P, K, X (scratch)."""
-    nx1, nu, ng, lx, lz, lg, first = s.nx + 1, s.nu, s.ng, s.lx, s.lz, s.lg, s.first
-    xb, zb, gb = lx // 8, lz // 8, lg // 8
-    product = partial(dense.matrix_product, budget=vector_budget())
-    parts = [
-        product("k_w", zb, nx1, nx1, lz, lx, 1, lz, None, False),
-        product("k_mx", xb, nx1, nx1, lz, 1, lz, lz, lz, False), product("k_mu", zb, nu, nx1, lz, 1, lz, lz, lz, False),
-        product("k_p", xb, nx1, nu, lz, 1, lz, lx, lz, True), dense.reverse_cholesky("k_chol", nu, first, lz),
-        dense.gains("k_gains", nu, first, lz, lx if ng else lz, xb, lx),
-    ]  # fmt: skip
-    if ng:
-        parts += [
-            dense.solve_transposed_rows("k_r", nu, first, lz, gb, lg),
-            product("k_ch", xb, ng, nu, lz, 1, lg, lx, lz, True),
-            product("k_s", gb, ng, nu, lg, 1, lg, lg, None, False),
-            dense.schur_factor("k_factor", ng, lg, lx, RELATIVE_SOFTNESS),
-            product("k_pz", xb, nx1, ng, lx, 1, lx, lx, lx, False), dense.schur_back("k_back", ng, lg, lx),
-            product("k_t", xb, nu, ng, lx, lg, 1, lx, lz, False),
-            product("k_left", xb, ng, nu, lx, lz, 1, lx, lz, False), dense.soften("k_soft", ng, lx),
-            dense.schur_forward("k_forth", ng, lg, lx), product("k_more", xb, nu, ng, lx, lg, 1, lx, lx, False),
-        ]  # fmt: skip
-    o = s.scratch()
-    body = dense.Body("riccati_node", "AB H E EPS P K X")
-    body.lines = [body.lines[0].replace("noalias ", "")]
-    at = lambda base, offset: body.address(base, offset)
-
-    def call(name: str, *pointers: str) -> None:
-        body.lines.append(f"call void @{name}({', '.join(f'ptr {p}' for p in pointers)})")
-
-    w, m, d = at("X", o["W"]), at("X", o["M"]), at("X", o["D"])
-    mu, hu, wu = at("X", o["M"] + lz * nx1), at("H", lz * nx1), at("X", o["W"] + nx1)
-    call("k_w", "%AB", "%P", w, w)
-    call("k_mx", "%AB", w, m, "%H")
-    call("k_mu", "%AB", wu, mu, hu)
-    call("k_chol", mu, d)
-    call("k_p", mu, mu, "%P", m)
-    if ng:
-        t, r, z = at("X", o["T"]), at("X", o["R"]), at("X", o["Z"])
-        sc, inverse, dt = at("X", o["S"]), at("X", o["I"]), at("E", ng * lz)
-        call("k_r", mu, d, dt, r)
-        call("k_ch", mu, r, z, "%E")
-        call("k_s", r, r, sc, sc)
-        call("k_factor", sc, z, "%EPS", inverse)
-        call("k_pz", z, z, "%P", "%P")
-        call("k_back", sc, inverse, z)
-        call("k_t", z, r, t, mu)
-        call("k_gains", mu, d, t, "%K")
-        # once more for what the rows still lack: a saturated input makes the Schur complement ill-conditioned
-        left = at("X", o["Y"])
-        call("k_left", "%K", at("E", first), left, "%E")
-        call("k_soft", left, z, "%EPS")
-        call("k_forth", sc, inverse, left)
-        call("k_back", sc, inverse, left)
-        call("k_more", left, r, t, t)
-        call("k_gains", mu, d, t, "%K")
-    else:
-        call("k_gains", mu, d, mu, "%K")
-    return "\n".join([*parts, body.text()])
-
-
 def rows_pattern(functions: dict[str, ca.Function], sizes: Sizes) -> list[set[int]]:
     """The columns of [x, 1, u] with entries, of every general row along the path."""
     pattern: list[set[int]] = [set() for _ in range(sizes.nr)]
@@ -167,23 +106,18 @@ def rows_pattern(functions: dict[str, ca.Function], sizes: Sizes) -> list[set[in
     return pattern
 
 
-def _pattern(jacobian: ca.Sparsity, nx: int) -> list[list[int]]:
-    pattern: list[list[int]] = [[] for _ in range(nx)]
-    for r, c in zip(*jacobian.get_triplet(), strict=True):
-        if c < nx:
-            pattern[r].append(c)
-    return pattern
-
-
-def matrix_groups(maps: dict[str, OutputMap]) -> dict[str, list[int]]:
-    """For every function of eight nodes that fills a matrix of each node: the matrix's groups with entries."""
+def matrix_groups(functions: dict[str, ca.Function], maps: dict[str, OutputMap], sizes: Sizes) -> dict[str, list[int]]:
+    """For every function of eight nodes that fills a matrix of each node: the matrix's groups with entries. The Hessian's are also those to
+    which rows add: they start from zero where the cost has no entries."""
     outputs = {"cost_quadratic": (1, 2), "equality_jacobian": (0, 1), "rows_jacobian": (1,)}
-    return {n: blocks.groups_of(o for i in which for nz in maps[n][i] for o in nz) for n, which in outputs.items()}
+    found = {n: blocks.groups_of(o for i in which for nz in maps[n][i] for o in nz) for n, which in outputs.items()}
+    added = added_groups(rows_pattern(functions, sizes), sizes.nx, sizes.lz)
+    return found | {"cost_quadratic": sorted({*found["cost_quadratic"], *added})}
 
 
-def lane_maps(maps: dict[str, OutputMap]) -> dict[str, OutputMap]:
+def lane_maps(maps: dict[str, OutputMap], groups: dict[str, list[int]]) -> dict[str, OutputMap]:
     """Where the functions of eight nodes put their non-zeros: those of matrices group by group, see ``matrix_groups``."""
-    out, groups = {n: maps[n] for n in _EIGHT}, matrix_groups(maps)
+    out = {n: maps[n] for n in _EIGHT}
     pressed = lambda name, i: blocks.compact(maps[name][i], groups[name])
     out["cost_quadratic"] = [[[0]], pressed("cost_quadratic", 1), pressed("cost_quadratic", 2)]
     out["equality_jacobian"] = [pressed("equality_jacobian", i) for i in (0, 1)]
@@ -191,37 +125,76 @@ def lane_maps(maps: dict[str, OutputMap]) -> dict[str, OutputMap]:
     return out
 
 
-def _step_groups(transcription: Transcription, jacobian: ca.Sparsity, sizes: Sizes) -> list[int]:
-    """Groups of [A b B] that a step fills: all of them where a jump may follow, which mixes rows."""
+def step_pattern(transcription: Transcription, jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
+    """Where [A b B; 0 1 0] of a step (nx + 1, nz) can differ from zero: everywhere where a jump may follow, which mixes rows."""
+    pattern = np.zeros((sizes.nx + 1, sizes.nz), dtype=bool)
+    pattern[:, sizes.nx] = True
     if transcription.jumps:
-        return list(range(sizes.nx * sizes.lz // blocks.LANES))
-    nonzero = np.zeros(jacobian.shape, dtype=bool)
-    nonzero[tuple(np.array(jacobian.get_triplet(), dtype=int))] = True
-    stages = 4 if transcription.ocp.integrator == "rk4" else 2
-    rows, columns = np.nonzero(blocks.sensitivity_pattern(nonzero, stages, transcription.ocp.dynamics.unit_quaternions))
-    entries = rows * sizes.lz + columns + (columns >= sizes.nx)
-    gaps = np.arange(sizes.nx) * sizes.lz + sizes.nx
-    return blocks.groups_of(int(p) for p in [*entries, *gaps])
+        pattern[: sizes.nx] = True
+        return pattern
+    pattern[: sizes.nx] |= _sensitivity(transcription, jacobian, sizes)
+    return pattern
+
+
+def _sensitivity(transcription: Transcription, jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
+    """Where the derivative of a Runge-Kutta step (nx, nz) can differ from zero."""
+    quaternions = transcription.ocp.dynamics.unit_quaternions
+    return blocks.sensitivity_pattern(extended_pattern(jacobian, sizes), _stages(transcription), quaternions)
+
+
+def _stages(transcription: Transcription) -> int:
+    return 4 if transcription.ocp.integrator == "rk4" else 2
+
+
+def extended_pattern(jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
+    """Entries of a Jacobian by [x; u] in the columns [x, 1, u]."""
+    pattern = np.zeros((jacobian.shape[0], sizes.nz), dtype=bool)
+    for r, c in zip(*jacobian.get_triplet(), strict=True):
+        pattern[r, c if c < sizes.nx else c + 1] = True
+    return pattern
+
+
+def equality_inputs(jacobian: ca.Sparsity, sizes: Sizes) -> list[list[int]]:
+    """Of every equality row the inputs that it holds."""
+    inputs: list[list[int]] = [[] for _ in range(sizes.ng)]
+    for q, c in zip(*jacobian.get_triplet(), strict=True):
+        if c >= sizes.nx:
+            inputs[q].append(c - sizes.nx)
+    return inputs
 
 
 def _emit_blocks(
     transcription: Transcription, functions: dict[str, ca.Function], maps: dict[str, OutputMap], sizes: Sizes
 ) -> list[str]:
     """Everything that takes eight nodes at a time."""
-    width, jacobian, groups = register_width(), functions["dynamics_jacobian"].sparsity_out(1), matrix_groups(maps)
-    lanes = lane_maps(maps)
-    stages = "\n".join(emit_lanes(functions[n], f"l_{n}", width, lanes[n], _SHARED) for n in _EIGHT)
+    width, jacobian = register_width(), functions["dynamics_jacobian"].sparsity_out(1)
+    groups = matrix_groups(functions, maps, sizes)
+    step = [r * sizes.lz + c for r, c in np.argwhere(step_pattern(transcription, jacobian, sizes)[: sizes.nx])]
+    lanes = lane_maps(maps, groups)
+    evaluations = "\n".join(emit_lanes(functions[n], f"l_{n}", width, lanes[n], _SHARED) for n in _EIGHT)
+    own, found, stages = (
+        extended_pattern(jacobian, sizes),
+        _sensitivity(transcription, jacobian, sizes),
+        _stages(transcription),
+    )
+    chain = partial(blocks.chain, jacobian=own, step=found, stages=stages, ld=sizes.lz, width=width)
     return [
-        helpers(stages, width),
-        stages,
+        helpers(evaluations, width),
+        evaluations,
         blocks.declarations(width),
-        blocks.chain(_pattern(jacobian, sizes.nx), sizes.nz, sizes.lz, width),
+        chain("chain_first", start=0.5 if stages == 4 else 0.0),
+        chain("chain_next", start=None),
         blocks.pack(),
-        blocks.unpack("unpack_ab", _step_groups(transcription, jacobian, sizes), whole=True),
+        blocks.unpack("unpack_ab", blocks.groups_of(map(int, step)), whole=True),
         blocks.unpack("unpack_matrix", groups["cost_quadratic"]),
         blocks.unpack("unpack_equalities", groups["equality_jacobian"]),
         blocks.unpack("unpack_rows", groups["rows_jacobian"]),
     ]
+
+
+def _row_variables(transcription: Transcription) -> list[int]:
+    """The variables in [x; u] of the rows of one variable along the path."""
+    return [row.variable for row in transcription.path.boxes]
 
 
 def unsupported(transcription: Transcription) -> str:
@@ -244,12 +217,22 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     own = (len(transcription.path.general), len(transcription.end.general))
     sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0], *own)
     maps = output_maps(functions, sizes)
-    parts = [DECLARATIONS, dense.FMA]
+    parts = [DECLARATIONS, dense.FMA, dense.ABSOLUTE]
     parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _SINGLE]
     parts += _emit_blocks(transcription, functions, maps, sizes)
     pattern = rows_pattern(functions, sizes)
-    parts += [emit_riccati_node(sizes), emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget())]
+    jacobian, equality = functions["dynamics_jacobian"].sparsity_out(1), functions["equality_jacobian"].sparsity_out(1)
+    step, held = step_pattern(transcription, jacobian, sizes), equality_inputs(equality, sizes)
+    parts += [
+        emit_riccati_node(sizes, step, held),
+        emit_step_node(sizes, step),
+        emit_curvature_node(sizes),
+        emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget()),
+    ]
     parts.append(emit_row_products(pattern, sizes.lz))
+    variables = [v if v < sizes.nx else v + 1 for v in _row_variables(transcription)]
+    parts += [emit_box_values(f"box_{n}", sizes.nx, variables, n == "values") for n in ("values", "changes")]
+    parts.append(emit_add_boxes("add_boxes", sizes.nx, variables, sizes.lz))
     return "\n".join(parts), sizes
 
 
@@ -262,6 +245,9 @@ def problem_key(transcription: Transcription) -> str:
     # Gauss-Newton curvature is not visible in the values: the norms say which one is meant.
     terms = transcription.ocp.terms.values()
     digest.update(repr([repr(getattr(t, "norm", None)) + repr(getattr(t, "penalty", None)) for t in terms]).encode())
+    # nor are the entries that a step's derivative can have, and the variables of rows
+    ocp = transcription.ocp
+    digest.update(repr([ocp.integrator, list(ocp.dynamics.unit_quaternions), _row_variables(transcription)]).encode())
     text = [target_text(), transcription.exact, getattr(ca, "__version__", ""), cache.source_fingerprint()]
     digest.update(json.dumps(text).encode())
     return digest.hexdigest()

@@ -6,16 +6,45 @@ Storage of a matrix: contiguous vectors ("columns") of padded length, one after 
 
 from __future__ import annotations
 
-from wbmpc.kernel.ir import Lines
+from collections.abc import Callable, Mapping, Sequence
+
+from wbmpc.kernel.ir import LANES, Lines
 
 V = "<8 x double>"
 FMA = f"declare {V} @llvm.fmuladd.v8f64({V}, {V}, {V})"
+ABSOLUTE = f"declare {V} @llvm.fabs.v8f64({V})"
 ALIGN = 64
+#: A vector of memory: array and offset [doubles].
+Place = tuple[str, int]
+#: A vector of a column: array and number.
+Part = tuple[str, int]
+
+#: Where eight vectors of a square meet: even and odd entries, then pairs, then halves.
+_MIXES = (
+    ((0, 8, 2, 10, 4, 12, 6, 14), (1, 9, 3, 11, 5, 13, 7, 15), 1),
+    ((0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15), 2),
+    ((0, 1, 2, 3, 8, 9, 10, 11), (4, 5, 6, 7, 12, 13, 14, 15), 4),
+)
 
 
 def pad(n: int) -> int:
     """The next multiple of eight."""
     return (n + 7) // 8 * 8
+
+
+def transposed(names: Sequence[str], lines: list[str], prefix: str = "t") -> list[str]:
+    """Eight vectors as the columns of a square, transposed; what it names begins with ``prefix``."""
+    found = list(names)
+    for number, (low, high, distance) in enumerate(_MIXES):
+        result = list(found)
+        for i in (i for i in range(LANES) if not i & distance):
+            for target, order in ((i, low), (i + distance, high)):
+                indices = ", ".join(f"i32 {q}" for q in order)
+                pair = f"{V} {found[i]}, {V} {found[i + distance]}"
+                result[target] = f"%{prefix}.{number}.{target}"
+                lines.append(f"{result[target]} = shufflevector {pair}, <8 x i32> <{indices}>")
+        found = result
+    return found
 
 
 class Body(Lines):
@@ -29,6 +58,9 @@ class Body(Lines):
     def load(self, array: str, offset: int) -> str:
         return self.new(f"load {V}, ptr {self.address(array, offset)}, align {ALIGN}")
 
+    def load_unaligned(self, array: str, offset: int) -> str:
+        return self.new(f"load {V}, ptr {self.address(array, offset)}, align 8")
+
     def load_scalar(self, array: str, offset: int) -> str:
         return self.new(f"load double, ptr {self.address(array, offset)}")
 
@@ -38,12 +70,27 @@ class Body(Lines):
     def store_scalar(self, value: str, array: str, offset: int) -> None:
         self.lines.append(f"store double {value}, ptr {self.address(array, offset)}")
 
+    def store_some(self, value: str, count: int, array: str, offset: int) -> None:
+        """The first numbers of a vector, to anywhere."""
+        part, address = f"<{count} x double>", self.address(array, offset)
+        lanes = ", ".join(f"i32 {q}" for q in range(count))
+        some = self.new(f"shufflevector {V} {value}, {V} poison, <{count} x i32> <{lanes}>")
+        self.lines.append(f"store {part} {some}, ptr {address}, align 8")
+
     def splat(self, scalar: str) -> str:
         one = self.new(f"insertelement {V} poison, double {scalar}, i32 0")
         return self.new(f"shufflevector {V} {one}, {V} poison, <8 x i32> zeroinitializer")
 
-    def negate(self, scalar: str) -> str:
-        return self.new(f"fneg double {scalar}")
+    def spread(self, a: str, lane: int) -> str:
+        """One lane of a vector in all lanes."""
+        return self.shuffle(a, "poison", [lane] * LANES)
+
+    def spread_from(self, array: str, offset: int) -> str:
+        """A number of memory in all lanes."""
+        return self.splat(self.load_scalar(array, offset))
+
+    def negate(self, a: str) -> str:
+        return self.new(f"fneg {V} {a}")
 
     def fma(self, a: str, b: str, c: str) -> str:
         return self.new(f"call {V} @llvm.fmuladd.v8f64({V} {a}, {V} {b}, {V} {c})")
@@ -54,154 +101,189 @@ class Body(Lines):
     def extract(self, a: str, lane: int) -> str:
         return self.new(f"extractelement {V} {a}, i32 {lane}")
 
-    def inverse_root(self, d: str) -> str:
-        root = self.new(f"call double @llvm.sqrt.f64(double {d})")
-        return self.new(f"fdiv double 1.0, {root}")
+    def inverse(self, d: str) -> str:
+        return self.new(f"fdiv double 1.0, {d}")
+
+    def root(self, d: str) -> str:
+        return self.new(f"call double @llvm.sqrt.f64(double {d})")
+
+    def transpose(self, names: Sequence[str]) -> list[str]:
+        """Eight vectors as the columns of a square, transposed."""
+        self.count += 1
+        return transposed(names, self.lines, f"t{self.count}")
+
+    def add(self, a: str, b: str) -> str:
+        return self.new(f"fadd {V} {a}, {b}")
+
+    def subtract(self, a: str, b: str) -> str:
+        return self.new(f"fsub {V} {a}, {b}")
+
+    def larger(self, a: str, b: str) -> str:
+        """Lane by lane the larger number, that of ``a`` where b is none."""
+        mask = self.new(f"fcmp ogt {V} {b}, {a}")
+        return self.new(f"select <8 x i1> {mask}, {V} {b}, {V} {a}")
+
+    def absolute(self, a: str) -> str:
+        return self.new(f"call {V} @llvm.fabs.v8f64({V} {a})")
+
+    def sums(self, names: Sequence[str]) -> str:
+        """The sum of each of eight vectors, fewer with zeros behind, in one vector."""
+        found = [*names, *["zeroinitializer"] * (LANES - len(names))]
+        for low, high, _ in _MIXES:
+            pairs, found = list(zip(found[::2], found[1::2], strict=True)), []
+            for a, b in pairs:
+                parts = [self.shuffle(a, b, order) for order in (low, high)]
+                found.append(self.add(*parts))
+        return found[0]
+
+    def shuffle(self, a: str, b: str, order: Sequence[int]) -> str:
+        return self.new(f"shufflevector {V} {a}, {V} {b}, <8 x i32> <{', '.join(f'i32 {q}' for q in order)}>")
 
     def text(self) -> str:
         return "\n".join([*self.lines, "ret void", "}"])
 
 
-def matrix_product(
-    name: str, blocks: int, n: int, inner: int, lda: int, bj: int, bk: int, ldc: int, ldi: int | None, negative: bool,
-    budget: int = 24,
-) -> str:  # fmt: skip
-    """C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk] for j < n, k < inner; arguments A, B, C, I.
+def eliminate(
+    b: Body, order: Sequence[int], parts: Sequence[Mapping[Part, int]], row: Callable[[int], tuple[Part, int]],
+    budget: int, origin: Mapping[str, str], prepare: Callable[[int, dict[Part, str]], None] = lambda c, column: None,
+) -> None:  # fmt: skip
+    """Columns c of a symmetric matrix in ``order``: L Lᵀ = M in place, and the inverse of the diagonal into D[c].
 
-    ``blocks``: vectors of eight per column; ``ldi`` None: no I; ``budget``: vectors of eight that the registers can add up.
+    ``parts[c]``: where the column's vectors are; ``row(c)``: vector and lane of row c in every column; ``origin``: of arrays that are not
+    changed in place, where columns come from; ``prepare``: what is done to a column first.
+    A panel of columns stays in registers: it takes what all columns before it contribute, then its own. What the next column waits for is
+    one division; the root that scales the column is found meanwhile.
     """
-    if n == 0 or inner == 0:
-        raise ValueError("empty product")
-    tall = min(blocks, budget)
-    width = max(1, min(8, budget // tall))
-    o = [f"define void @{name}(ptr %A, ptr %B, ptr %C, ptr %I) nounwind {{", "entry:", "br label %b0"]
-    tiles = [(row, j) for row in range(0, blocks, tall) for j in range(0, n, width)]
-    for number, (row, j) in enumerate(tiles):
-        rows = range(row, min(row + tall, blocks))
-        columns = range(min(width, n - j))
-        o += _tile(f"b{number}", rows, columns, j, inner, (lda, bj, bk, ldc, ldi), negative)
-        o.append(f"br label %b{number + 1}" if number + 1 < len(tiles) else "ret void")
-    return "\n".join([*o, "}"])
+    wide = max(1, budget // max(len(part) for part in parts))
+    for start in range(0, len(order), wide):
+        panel = order[start : start + wide]
+        held = {c: {p: b.load(origin.get(p[0], p[0]), offset) for p, offset in parts[c].items()} for c in panel}
+        for c in panel:
+            prepare(c, held[c])
+        needed = {part for column in held.values() for part in column}
+        for k in order[:start]:
+            column = {part: b.load(part[0], offset) for part, offset in parts[k].items() if part in needed}
+            for c in panel:
+                part, lane = row(c)
+                factor = b.negate(b.spread_from(part[0], parts[k][part] + lane))
+                _subtract(b, held[c], column, factor)
+        for number, c in enumerate(panel):
+            part, lane = row(c)
+            inverse = b.inverse(b.extract(held[c][part], lane))
+            spread = b.negate(b.splat(inverse))
+            for later in panel[number + 1 :]:
+                part, lane = row(later)
+                _subtract(b, held[later], held[c], b.scale(b.spread(held[c][part], lane), spread))
+            root = b.root(inverse)
+            b.store_scalar(root, "D", c)
+            spread = b.splat(root)
+            for part, offset in parts[c].items():
+                b.store(b.scale(held[c][part], spread), part[0], offset)
 
 
-def _tile(
-    p: str, rows: range, columns: range, j: int, inner: int, strides: tuple[int, int, int, int, int | None],
-    negative: bool,
-) -> list[str]:  # fmt: skip
-    """One tile of a product: all of its sums stay in registers."""
-    lda, bj, bk, ldc, ldi = strides
-    cells = [(q, i) for q in columns for i in rows]
-    o = [f"{p}:"]
-    initial = {}
-    for q, i in cells:
-        if ldi is None:
-            initial[q, i] = "zeroinitializer"
-            continue
-        o.append(f"%{p}.pi{q}.{i} = getelementptr double, ptr %I, i64 {(j + q) * ldi + 8 * i}")
-        o.append(f"%{p}.i{q}.{i} = load {V}, ptr %{p}.pi{q}.{i}, align {ALIGN}")
-        initial[q, i] = f"%{p}.i{q}.{i}"
-    o += [f"br label %{p}l", f"{p}l:", f"%{p}.k = phi i64 [0, %{p}], [%{p}.k1, %{p}l]"]
-    o += [f"%{p}.a{q}.{i} = phi {V} [{initial[q, i]}, %{p}], [%{p}.n{q}.{i}, %{p}l]" for q, i in cells]
-    o.append(f"%{p}.ka = mul i64 %{p}.k, {lda}")
-    for i in rows:
-        o.append(f"%{p}.oa{i} = add i64 %{p}.ka, {8 * i}")
-        o.append(f"%{p}.pa{i} = getelementptr double, ptr %A, i64 %{p}.oa{i}")
-        o.append(f"%{p}.av{i} = load {V}, ptr %{p}.pa{i}, align {ALIGN}")
-    o.append(f"%{p}.kb = mul i64 %{p}.k, {bk}")
-    for q in columns:
-        o.append(f"%{p}.ob{q} = add i64 %{p}.kb, {(j + q) * bj}")
-        o.append(f"%{p}.pb{q} = getelementptr double, ptr %B, i64 %{p}.ob{q}")
-        o.append(f"%{p}.s{q} = load double, ptr %{p}.pb{q}")
-        if negative:
-            o.append(f"%{p}.t{q} = fneg double %{p}.s{q}")
-        scalar = f"%{p}.{'t' if negative else 's'}{q}"
-        o.append(f"%{p}.e{q} = insertelement {V} poison, double {scalar}, i32 0")
-        o.append(f"%{p}.v{q} = shufflevector {V} %{p}.e{q}, {V} poison, <8 x i32> zeroinitializer")
-        for i in rows:
-            operands = f"{V} %{p}.av{i}, {V} %{p}.v{q}, {V} %{p}.a{q}.{i}"
-            o.append(f"%{p}.n{q}.{i} = call {V} @llvm.fmuladd.v8f64({operands})")
-    o += [f"%{p}.k1 = add i64 %{p}.k, 1", f"%{p}.c = icmp eq i64 %{p}.k1, {inner}"]
-    o += [f"br i1 %{p}.c, label %{p}x, label %{p}l", f"{p}x:"]
-    for q, i in cells:
-        o.append(f"%{p}.po{q}.{i} = getelementptr double, ptr %C, i64 {(j + q) * ldc + 8 * i}")
-        o.append(f"store {V} %{p}.n{q}.{i}, ptr %{p}.po{q}.{i}, align {ALIGN}")
-    return o
+def _subtract(b: Body, held: dict[Part, str], column: Mapping[Part, str], minus: str) -> None:
+    """A multiple of a finished column from one that is held."""
+    for part in held:
+        if part in column:
+            held[part] = b.fma(column[part], minus, held[part])
 
 
-def reverse_cholesky(name: str, n: int, first: int, ld: int) -> str:
+def reverse_cholesky(
+    name: str, n: int, first: int, ld: int, touched: int = 0, blocks: int = 0, ldr: int = 8, budget: int = 24
+) -> str:
     """Eliminate the last of n columns first: M_uu = U Uᵀ in place, the rows above (state and gradient) with it.
 
-    Column j has its diagonal in row ``first + j``. Arguments L (columns), D (1 / diagonal of U).
+    Column j has its diagonal in row ``first + j``. Arguments L (columns), D (1 / diagonal of U), I, R: more rows, the first ``touched`` of
+    n vectors (``blocks`` eights each, ``ldr`` apart) of I: R = U⁻¹ I.
     """
-    b = Body(name, "L D")
-    for j in reversed(range(n)):
-        blocks = (first + j) // 8 + 1
-        acc = [b.load("L", j * ld + 8 * i) for i in range(blocks)]
-        for k in range(j + 1, n):
-            factor = b.splat(b.negate(b.load_scalar("L", k * ld + first + j)))
-            acc = [b.fma(b.load("L", k * ld + 8 * i), factor, acc[i]) for i in range(blocks)]
-        inverse = b.inverse_root(b.extract(acc[(first + j) // 8], (first + j) % 8))
-        b.store_scalar(inverse, "D", j)
-        spread = b.splat(inverse)
-        for i in range(blocks):
-            b.store(b.scale(acc[i], spread), "L", j * ld + 8 * i)
-    return b.text()
-
-
-def solve_transposed_rows(name: str, n: int, first: int, ld: int, blocks: int, ldr: int) -> str:
-    """R[j] = (I[j] − Σ_{q>j} U[j, q] R[q]) / U[j, j], i.e. U⁻¹ applied to the rows of I; arguments L, D, I, R."""
     b = Body(name, "L D I R")
-    for j in reversed(range(n)):
-        acc = [b.load("I", j * ldr + 8 * i) for i in range(blocks)]
-        for q in range(j + 1, n):
-            factor = b.splat(b.negate(b.load_scalar("L", q * ld + first + j)))
-            acc = [b.fma(b.load("R", q * ldr + 8 * i), factor, acc[i]) for i in range(blocks)]
-        spread = b.splat(b.load_scalar("D", j))
-        for i in range(blocks):
-            b.store(b.scale(acc[i], spread), "R", j * ldr + 8 * i)
+    parts: list[dict[Part, int]] = []
+    for j in range(n):
+        parts.append({("L", i): j * ld + 8 * i for i in range((first + j) // 8 + 1)})
+        if j < touched:
+            parts[j] |= {("R", i): j * ldr + 8 * i for i in range(blocks)}
+    eliminate(b, range(n - 1, -1, -1), parts, lambda j: (("L", (first + j) // 8), (first + j) % 8), budget, {"R": "I"})
     return b.text()
 
 
-def schur_factor(name: str, n: int, lds: int, ldz: int, relative: float) -> str:
+def schur_factor(name: str, n: int, lds: int, ldz: int, relative: float, budget: int = 24) -> str:
     """S + diag(relative S_qq + E_q) = L Lᵀ in place, Z ← Z L⁻ᵀ column by column, and the inverse diagonal in D.
 
     Arguments S (n columns), Z (n columns), E (n), D (n).
     """
     b = Body(name, "S Z E D")
-    sb, zb = lds // 8, ldz // 8
-    for j in range(n):
-        diagonal = b.load_scalar("S", j * lds + j)
-        more = b.new(f"fmul double {diagonal}, {1.0 + relative!r}")
+    parts = [
+        {("S", i): j * lds + 8 * i for i in range(j // 8, lds // 8)}
+        | {("Z", i): j * ldz + 8 * i for i in range(ldz // 8)}
+        for j in range(n)
+    ]
+
+    def soften_diagonal(j: int, column: dict[Part, str]) -> None:
+        part = ("S", j // 8)
+        more = b.new(f"fmul double {b.load_scalar('S', j * lds + j)}, {1.0 + relative!r}")
         more = b.new(f"fadd double {more}, {b.load_scalar('E', j)}")
-        b.store_scalar(more, "S", j * lds + j)
-        acc = [b.load("S", j * lds + 8 * i) for i in range(sb)]
-        rhs = [b.load("Z", j * ldz + 8 * i) for i in range(zb)]
-        for q in range(j):
-            factor = b.splat(b.negate(b.load_scalar("S", q * lds + j)))
-            acc = [b.fma(b.load("S", q * lds + 8 * i), factor, acc[i]) for i in range(sb)]
-            rhs = [b.fma(b.load("Z", q * ldz + 8 * i), factor, rhs[i]) for i in range(zb)]
-        inverse = b.inverse_root(b.extract(acc[j // 8], j % 8))
-        b.store_scalar(inverse, "D", j)
-        spread = b.splat(inverse)
-        for i in range(sb):
-            b.store(b.scale(acc[i], spread), "S", j * lds + 8 * i)
-        for i in range(zb):
-            b.store(b.scale(rhs[i], spread), "Z", j * ldz + 8 * i)
+        column[part] = b.new(f"insertelement {V} {column[part]}, double {more}, i32 {j % 8}")
+
+    eliminate(b, range(n), parts, lambda j: (("S", j // 8), j % 8), budget, {}, soften_diagonal)
     return b.text()
 
 
-def schur_forward(name: str, n: int, lds: int, ldz: int) -> str:
+def substitute(
+    b: Body, order: Sequence[int], blocks: int, given: Callable[[int], Place], found: Place, ld: int,
+    factor: Callable[[int, int], Place], negative: bool, budget: int,
+) -> None:  # fmt: skip
+    """X[j] = ± D[j] (T[j] ∓ Σ_k f(j, k) X[k]) over all k before j in ``order``, minus below where ``negative``.
+
+    ``given(j)``: where T[j] is; ``found``: where X begins, ``ld`` apart; ``factor``: where f(j, k) is. Several rows at a time: they share
+    the rows before them.
+    """
+    sign = (lambda a: a) if negative else b.negate
+    wide, rows = max(1, budget // 2 // blocks), range(blocks)
+    at = lambda j, i: (found[0], found[1] + j * ld + 8 * i)
+    for start in range(0, len(order), wide):
+        panel = order[start : start + wide]
+        held = {j: [b.load(given(j)[0], given(j)[1] + 8 * i) for i in rows] for j in panel}
+        for k in order[:start]:
+            before = [b.load(*at(k, i)) for i in rows]
+            for j in panel:
+                by = sign(b.spread_from(*factor(j, k)))
+                held[j] = [b.fma(before[i], by, held[j][i]) for i in rows]
+        for number, j in enumerate(panel):
+            for k in panel[:number]:
+                by = sign(b.spread_from(*factor(j, k)))
+                held[j] = [b.fma(held[k][i], by, held[j][i]) for i in rows]
+            spread = b.spread_from("D", j)
+            spread = b.negate(spread) if negative else spread
+            held[j] = [b.scale(held[j][i], spread) for i in rows]
+            for i in rows:
+                b.store(held[j][i], *at(j, i))
+
+
+def schur_forward(name: str, n: int, lds: int, ldz: int, budget: int = 24) -> str:
     """Z ← Z L⁻ᵀ column by column, from the first; arguments S (holds L), D, Z."""
     b = Body(name, "S D Z")
-    zb = ldz // 8
-    for j in range(n):
-        acc = [b.load("Z", j * ldz + 8 * i) for i in range(zb)]
-        for q in range(j):
-            factor = b.splat(b.negate(b.load_scalar("S", q * lds + j)))
-            acc = [b.fma(b.load("Z", q * ldz + 8 * i), factor, acc[i]) for i in range(zb)]
-        spread = b.splat(b.load_scalar("D", j))
-        for i in range(zb):
-            b.store(b.scale(acc[i], spread), "Z", j * ldz + 8 * i)
+    substitute(
+        b, range(n), ldz // 8, lambda j: ("Z", j * ldz), ("Z", 0), ldz, lambda j, q: ("S", q * lds + j), False, budget
+    )
+    return b.text()
+
+
+def schur_back(name: str, n: int, lds: int, ldz: int, budget: int = 24) -> str:
+    """Z ← Z L⁻¹, from the last column; arguments S (holds L), D, Z."""
+    b, order = Body(name, "S D Z"), range(n - 1, -1, -1)
+    substitute(
+        b, order, ldz // 8, lambda j: ("Z", j * ldz), ("Z", 0), ldz, lambda j, q: ("S", j * lds + q), False, budget
+    )
+    return b.text()
+
+
+def gains(
+    name: str, n: int, first: int, ld: int, blocks: int, ldk: int, touched: int = 0, ldt: int = 8, budget: int = 24
+) -> str:
+    """K = −U⁻ᵀ T row by row; arguments L, D, T (the first ``touched`` rows of T, ``ldt`` apart; the others are in L), K."""
+    b = Body(name, "L D T K")
+    given = lambda j: ("T", j * ldt) if j < touched else ("L", j * ld)
+    substitute(b, range(n), blocks, given, ("K", 0), ldk, lambda j, k: ("L", j * ld + first + k), True, budget)
     return b.text()
 
 
@@ -209,36 +291,23 @@ def soften(name: str, n: int, ld: int) -> str:
     """Y[q] ← Y[q] − E_q Z[q]; arguments Y, Z (n vectors each), E (n)."""
     b = Body(name, "Y Z E")
     for q in range(n):
-        factor = b.splat(b.negate(b.load_scalar("E", q)))
+        factor = b.negate(b.spread_from("E", q))
         for i in range(0, ld, 8):
             b.store(b.fma(b.load("Z", q * ld + i), factor, b.load("Y", q * ld + i)), "Y", q * ld + i)
     return b.text()
 
 
-def schur_back(name: str, n: int, lds: int, ldz: int) -> str:
-    """Z ← Z L⁻¹, from the last column; arguments S (holds L), D, Z."""
-    b = Body(name, "S D Z")
-    zb = ldz // 8
-    for j in reversed(range(n)):
-        acc = [b.load("Z", j * ldz + 8 * i) for i in range(zb)]
-        for k in range(j + 1, n):
-            factor = b.splat(b.negate(b.load_scalar("S", j * lds + k)))
-            acc = [b.fma(b.load("Z", k * ldz + 8 * i), factor, acc[i]) for i in range(zb)]
-        spread = b.splat(b.load_scalar("D", j))
-        for i in range(zb):
-            b.store(b.scale(acc[i], spread), "Z", j * ldz + 8 * i)
-    return b.text()
-
-
-def gains(name: str, n: int, first: int, ld: int, ldl: int, blocks: int, ldk: int) -> str:
-    """K = −U⁻ᵀ T row by row (T: n vectors, distance ``ldl``); arguments L, D, T, K."""
-    b = Body(name, "L D T K")
-    for j in range(n):
-        acc = [b.load("T", j * ldl + 8 * i) for i in range(blocks)]
-        for k in range(j):
-            factor = b.splat(b.load_scalar("L", j * ld + first + k))
-            acc = [b.fma(b.load("K", k * ldk + 8 * i), factor, acc[i]) for i in range(blocks)]
-        spread = b.splat(b.negate(b.load_scalar("D", j)))
-        for i in range(blocks):
-            b.store(b.scale(acc[i], spread), "K", j * ldk + 8 * i)
+def mirror(name: str, n: int, ld: int) -> str:
+    """The upper triangle of a symmetric matrix of n columns onto the lower one; argument P."""
+    b = Body(name, "P")
+    for i in range(0, n, 8):
+        for j in range(i, n, 8):
+            columns = range(j, min(j + 8, n))
+            upper = [b.load("P", c * ld + i) for c in columns]
+            lower = b.transpose([*upper, *["zeroinitializer"] * (8 - len(columns))])
+            for c in range(i, min(i + 8, n)):
+                value = lower[c - i]
+                if i == j:
+                    value = b.shuffle(upper[c - i], value, [q if q <= c - i else 8 + q for q in range(8)])
+                b.store(value, "P", c * ld + j)
     return b.text()

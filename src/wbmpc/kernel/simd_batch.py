@@ -201,7 +201,8 @@ def _sincos(width: int) -> str:
 def helpers(ir: str, width: int) -> str:
     """Declarations, and the helper functions that ``ir`` calls; those of the C library must be declared."""
     t = f"<{width} x double>"
-    parts = [f"declare {t} @llvm.{n}.v{width}f64({t}) nounwind memory(none)" for n in ("sqrt", "fabs", "floor", "ceil")]
+    one = ("sqrt", "floor", "ceil") if width == LANES else ("sqrt", "fabs", "floor", "ceil")
+    parts = [f"declare {t} @llvm.{n}.v{width}f64({t}) nounwind memory(none)" for n in one]
     two = ("copysign", "minnum", "maxnum")
     parts += [f"declare {t} @llvm.{n}.v{width}f64({t}, {t}) nounwind memory(none)" for n in two]
     parts.append(f"declare i1 @llvm.vector.reduce.or.v{width}i1(<{width} x i1>) nounwind memory(none)")

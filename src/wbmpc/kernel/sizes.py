@@ -52,7 +52,8 @@ class Sizes:
         for name, size in sizes.items():
             offsets[name] = total
             total += dense.pad(size)
-        return {**offsets, "total": total}
+        # the forward pass and the KKT residual have a node's step and two sums there
+        return {**offsets, "total": max(total, self.lz + 24)}
 
     def equality_buffer(self) -> int:
         """Doubles of a node's equality rows [C e D] and of Dᵀ behind them."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wbmpc.kernel import dense
+from wbmpc.kernel.products import Tile, product_of_tiles, tiles
 
 #: What a block costs beyond its rows, as so many rows: its part of the Hessian is loaded and stored.
 OVERHEAD = 2
@@ -49,50 +50,48 @@ def row_blocks(pattern: list[set[int]], constant: int) -> list[Block]:
     return blocks
 
 
-def runs(numbers: set[int] | frozenset[int]) -> list[range]:
-    """Neighboring numbers as ranges."""
-    found: list[range] = []
-    for n in sorted(numbers):
-        if found and found[-1].stop == n:
-            found[-1] = range(found[-1].start, n + 1)
-        else:
-            found.append(range(n, n + 1))
+def upper_columns(block: Block) -> dict[int, list[int]]:
+    """A block's columns by the group that holds their diagonals."""
+    found: dict[int, list[int]] = {}
+    for c in sorted(block.columns):
+        found.setdefault(c // 8, []).append(c)
+    return found
+
+
+def added_groups(pattern: list[set[int]], constant: int, lz: int) -> set[int]:
+    """The groups of eight of a node's Hessian that :func:`emit_add_rows` adds to."""
+    found = set()
+    for block in row_blocks(pattern, constant):
+        for own, columns in upper_columns(block).items():
+            found |= {c * lz // 8 + g for c in columns for g in block.groups if g <= own}
     return found
 
 
 def emit_add_rows(pattern: list[set[int]], constant: int, lz: int, budget: int) -> str:
-    """H += Aᵀ B for the rows A of the extended node vector and B, the same times their weights; arguments A, B, H."""
-    products, calls = [], []
+    """H += Jᵀ diag(W) J, what is above the diagonal, for rows J of the extended node vector; arguments J, W, H."""
+    parts, calls = [], []
     for number, block in enumerate(row_blocks(pattern, constant)):
-        for i, columns in enumerate(runs(block.columns)):
-            for k, groups in enumerate(runs(block.groups)):
-                name = f"k_rows{number}.{i}.{k}"
-                rows = block.last - block.first
-                products.append(dense.matrix_product(
-                    name, len(groups), len(columns), rows, lz, 1, lz, lz, lz, False, budget
-                ))  # fmt: skip
-                offsets = {
-                    "A": block.first * lz + 8 * groups.start,
-                    "B": block.first * lz + columns.start,
-                    "H": columns.start * lz + 8 * groups.start,
-                }
-                at = {}
-                for array, offset in offsets.items():
-                    at[array] = f"%{array.lower()}{number}.{i}.{k}"
-                    calls.append(f"{at[array]} = getelementptr double, ptr %{array}, i64 {offset}")
-                calls.append(f"call void @{name}(ptr {at['A']}, ptr {at['B']}, ptr {at['H']}, ptr {at['H']})")
-    body = ["define void @add_rows(ptr %A, ptr %B, ptr %H) nounwind {", *calls, "ret void", "}"]
-    return "\n".join([*products, *body])
+        name, first, found = f"k_rows{number}", block.first, list[Tile]()
+        for own, columns in upper_columns(block).items():
+            found += tiles(sorted(g for g in block.groups if g <= own), columns, budget)
+        parts.append(product_of_tiles(name, found, block.last - first, (lz, 1, lz, lz, lz), weighted=True))
+        calls.append(f"%j{number} = getelementptr double, ptr %J, i64 {first * lz}")
+        calls.append(f"%w{number} = getelementptr double, ptr %W, i64 {first}")
+        calls.append(f"call void @{name}(ptr %j{number}, ptr %j{number}, ptr %H, ptr %H, ptr %w{number})")
+    body = ["define void @add_rows(ptr %J, ptr %W, ptr %H) nounwind {", *calls, "ret void", "}"]
+    return "\n".join([*parts, *body])
 
 
 def emit_row_products(pattern: list[set[int]], lz: int) -> str:
     """out = J z of rows of the extended node vector, without their residuals; arguments J, Z (with 0 for 1), OUT."""
     body = dense.Body("row_products", "J Z OUT")
     vector = {g: body.load("Z", 8 * g) for g in sorted({c // 8 for columns in pattern for c in columns})}
-    for i, columns in enumerate(pattern):
-        total = "zeroinitializer"
-        for g in sorted({c // 8 for c in columns}):
-            total = body.fma(body.load("J", i * lz + 8 * g), vector[g], total)
-        sums = f"call reassoc double @llvm.vector.reduce.fadd.v8f64(double -0.0, {dense.V} {total})"
-        body.store_scalar(body.new(sums), "OUT", i)
-    return "\n".join([f"declare double @llvm.vector.reduce.fadd.v8f64(double, {dense.V})", body.text()])
+    for first in range(0, len(pattern), 8):
+        found = []
+        for i in range(first, min(first + 8, len(pattern))):
+            total = "zeroinitializer"
+            for g in sorted({c // 8 for c in pattern[i]}):
+                total = body.fma(body.load("J", i * lz + 8 * g), vector[g], total)
+            found.append(total)
+        body.store_some(body.sums(found), len(found), "OUT", first)
+    return body.text()

@@ -12,7 +12,7 @@ from wbmpc.errors import InputError, UnsupportedOperation
 from wbmpc.kernel.compiled import problem_key
 from wbmpc.kernel.second_derivatives import SECOND, ExactHessian, build_exact_hessian
 from wbmpc.ocp import OptimalControlProblem
-from wbmpc.solver.memory_layout import DYNAMICS_H, END_LAGRANGIAN, EXACT, LAGRANGIAN, Setting
+from wbmpc.solver.memory_layout import DYNAMICS_H, END_LAGRANGIAN, EXACT, LAGRANGIAN, SCRATCH, TERMINAL, E, H, Setting
 from wbmpc.solver.settings import SQP
 
 if TYPE_CHECKING:
@@ -84,6 +84,9 @@ class HessianSwitch:
         table = self._solver.ws.table
         table[[LAGRANGIAN, DYNAMICS_H, END_LAGRANGIAN]] = addresses
         table[EXACT] = int(exact)
+        # second derivatives are also where the cost's functions never write
+        for block, following in ((H, E), (TERMINAL, SCRATCH)):
+            self._solver.ws.memory[table[block] : table[following]] = 0.0
 
     def _compile(self) -> ExactHessian | None:
         """Code of the exact Hessian; None where there is none."""

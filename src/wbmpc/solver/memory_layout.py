@@ -153,9 +153,20 @@ LANES_DYNAMICS, LANES_COST, LANES_EQUALITY, LANES_ROWS = (
 LANES_DYNAMICS_J, LANES_COST_Q, LANES_EQUALITY_J, LANES_ROWS_J = (
     _call[f"lanes.{n}"] for n in ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian")
 )
-RICCATI, CHAIN, ADD_ROWS, ROW_PRODUCTS, PACK = (
-    _call[n] for n in ("riccati_node", "chain_lanes", "add_rows", "row_products", "pack")
+RICCATI, STEP, CURVATURE, CHAIN_FIRST, CHAIN_NEXT, ADD_ROWS, ROW_PRODUCTS, PACK = (
+    _call[n]
+    for n in (
+        "riccati_node",
+        "step_node",
+        "curvature_node",
+        "chain_first",
+        "chain_next",
+        "add_rows",
+        "row_products",
+        "pack",
+    )
 )
+BOX_VALUES, BOX_CHANGES, ADD_BOXES = (_call[n] for n in ("box_values", "box_changes", "add_boxes"))
 UNPACK_AB, UNPACK_MATRIX, UNPACK_EQUALITIES, UNPACK_ROWS = (
     _call[f"unpack_{n}"] for n in ("ab", "matrix", "equalities", "rows")
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.barriers import add_square
-from wbmpc.solver.compilation import LANES, Floats, Integers, call3, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, call3, call5, compiled
 from wbmpc.solver.inequality_algebra import log_of_product, merits, weights
 from wbmpc.solver.inequality_table import (
     eight_rows,
@@ -14,8 +14,11 @@ from wbmpc.solver.inequality_table import (
     record_violations,
 )
 from wbmpc.solver.memory_layout import (
+    ADD_BOXES,
     ADD_ROWS,
     BASE,
+    BOX_CHANGES,
+    BOX_VALUES,
     DU,
     DX,
     END_J,
@@ -40,11 +43,11 @@ from wbmpc.solver.memory_layout import (
     ROW_L,
     ROW_PRODUCTS,
     ROW_S,
-    ROW_SCALED,
     ROW_T,
     ROW_TRIAL,
     ROW_Y,
     ROWS,
+    SIGNED,
     SMALL,
     STATE,
     N,
@@ -65,11 +68,21 @@ def box_value(m: Floats, o: Integers, r: int, x: int, u: int) -> float:
 
 
 @compiled
+def evaluate_boxes(m: Floats, o: Integers, function: int, x: int, u: int, out: int) -> None:
+    """h of the path's rows of one variable, or their changes by a step, of the states at ``x`` and the inputs at ``u``."""
+    base, signs, offsets = o[BASE], entry(o, RowField.SIGN, 0), entry(o, RowField.OFFSET, 0)
+    call5(o[function], base + 8 * x, base + 8 * u, base + 8 * signs, base + 8 * offsets, base + 8 * out)
+
+
+@compiled
 def collect_values(m: Floats, o: Integers, k: int, x: int, u: int, out: int) -> None:
     """h of node k's rows at ``out``: those of one variable from x and u, general ones from where their function left them."""
     first, boxes, general = node_rows(o, k)
-    for j in range(boxes):
-        m[out + j] = box_value(m, o, first + j, x, u)
+    if k < o[N]:
+        evaluate_boxes(m, o, BOX_VALUES, x, u, out)
+    else:
+        for j in range(boxes):
+            m[out + j] = box_value(m, o, first + j, x, u)
     for j in range(general):
         m[out + boxes + j] = m[o[SMALL] + 16 + j]
 
@@ -118,18 +131,26 @@ def add_general(
     """Jᵀ w σ J of general rows (with e in the constant's column) onto a matrix of the extended node vector."""
     lz, base = o[LZ], o[BASE]
     if k < o[N]:
-        for j in range(general):
-            scale = w * m[o[ROW_C] + offset + j]
-            for c in range(0, lz, LANES):
-                out, row = o[ROW_SCALED] + j * lz + c, jacobian + j * lz + c
-                m[out : out + LANES] = scale * m[row : row + LANES]
-        call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * o[ROW_SCALED], base + 8 * matrix)
+        weights = o[SIGNED]
+        for j in range(0, general, LANES):
+            q = offset + j
+            m[weights + j : weights + j + LANES] = w * m[o[ROW_C] + q : o[ROW_C] + q + LANES]
+        call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * weights, base + 8 * matrix)
         return
     for j in range(general):
         scale, row = w * m[o[ROW_C] + offset + j], jacobian + j * lz
         for a in range(o[NX] + 1):
             for b in range(o[NX] + 1):
                 m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
+
+
+@compiled
+def add_path_boxes(m: Floats, o: Integers, offset: int, w: float, matrix: int) -> None:
+    """As :func:`add_boxes`, of a node of the path."""
+    base, signs, weight = o[BASE], entry(o, RowField.SIGN, 0), o[PULLED]
+    m[weight] = w
+    sigma, e = base + 8 * (o[ROW_C] + offset), base + 8 * (o[ROW_E] + offset)
+    call5(o[ADD_BOXES], base + 8 * signs, sigma, e, base + 8 * weight, base + 8 * matrix)
 
 
 @compiled
@@ -172,7 +193,10 @@ def linearize_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, 
             logs += log_of_product(m, o, product)
             product = np.full(LANES, 1.0)
     logs += log_of_product(m, o, product)
-    add_boxes(m, o, first, offset, boxes, w, matrix, ld)
+    if k < o[N]:
+        add_path_boxes(m, o, offset, w, matrix)
+    else:
+        add_boxes(m, o, first, offset, boxes, w, matrix, ld)
     for j in range(general):
         m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + offset + boxes + j]
     if general > 0:
@@ -185,10 +209,11 @@ def row_changes(m: Floats, o: Integers, k: int) -> None:
     """J δz of node k's rows into ``rows_d``."""
     first, boxes, general = node_rows(o, k)
     dx, du, nx, lz, out = o[DX] + k * o[LX], o[DU] + k * o[NU], o[NX], o[LZ], o[ROW_D] + k * o[ROWS]
-    index, signs = row_index(o) + first, entry(o, RowField.SIGN, first)
-    for j in range(boxes):
-        i = o[index + j]
-        m[out + j] = m[signs + j] * (m[dx + i] if i < nx else m[du + i - nx - 1])
+    if k < o[N]:
+        evaluate_boxes(m, o, BOX_CHANGES, dx, du, out)
+    else:
+        for j in range(boxes):
+            m[out + j] = m[entry(o, RowField.SIGN, first + j)] * m[dx + o[row_index(o) + first + j]]
     if general > 0 and k < o[N]:
         step, base = o[PULLED], o[BASE]
         for i in range(nx):

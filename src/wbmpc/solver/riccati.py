@@ -19,6 +19,7 @@ from wbmpc.solver.exact import costate_end, exact_end, exact_node
 from wbmpc.solver.memory_layout import (
     AB,
     BASE,
+    CURVATURE,
     DU,
     DX,
     END_BOXES,
@@ -55,6 +56,7 @@ from wbmpc.solver.memory_layout import (
     SMALL,
     SOFT_RESIDUAL,
     STATE,
+    STEP,
     TERMINAL,
     UNPACK_EQUALITIES,
     UNPACK_MATRIX,
@@ -96,9 +98,8 @@ def linearize_block(m: Floats, o: Integers, first: int, count: int, slot: int) -
     matrix = o[H] + slot * size
     load_block(m, o, first, count, o[X], o[U])
     linearize_dynamics(m, o, first, count)
-    if (
-        o[ROW_GENERAL] + o[EXACT] + o[NONLINEAR_EQUALITIES] > 0
-    ):  # rows and second derivatives add where the cost's functions write nothing
+    if o[EXACT] + o[NONLINEAR_INPUT_ROWS] + o[NONLINEAR_EQUALITIES] > 0:
+        # second derivatives add where the cost's functions write nothing
         for i in range(count * size):
             m[matrix + i] = 0.0
     stage_lanes(o, LANES_COST_Q, x, u, o[LANE_SMALL] + LANE_COST, o[LANE_MATRIX], o[LANE_MATRIX])
@@ -181,15 +182,6 @@ def linearize_end(m: Floats, o: Integers) -> tuple[float, float]:
 
 
 @compiled
-def symmetrize(m: Floats, o: Integers) -> None:
-    """Mirror the value function, its gradient too: an antisymmetric rounding error would grow with the open loop's unstable modes."""
-    value, lx = o[VALUE], o[LX]
-    for i in range(o[NX] + 1):
-        for j in range(i):
-            m[value + j * lx + i] = m[value + i * lx + j]
-
-
-@compiled
 def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, float]:
     """Linearize and eliminate, from the last node to the first: (cost, Σ|gap|, Σ|equality|, Σ|row|).
 
@@ -216,7 +208,6 @@ def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, f
                 base + 8 * (o[K] + k * nu * lx),
                 base + 8 * o[SCRATCH],
             )
-            symmetrize(m, o)
     return cost, gaps, violations, rows
 
 
@@ -244,32 +235,28 @@ def first_equalities(m: Floats, o: Integers) -> float:
 @compiled
 def forward(m: Floats, o: Integers, x0: Floats) -> tuple[float, float]:
     """The step: (largest component, directional derivative of the cost)."""
-    n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, slope = 0.0, 0.0
+    n, nx, nu, lx, lz, base = o[N], o[NX], o[NU], o[LX], o[LZ], o[BASE]
+    slopes = o[PULLED] + lz + LANES
+    sizes = slopes + LANES
+    m[slopes : slopes + LANES] = np.full(LANES, 0.0)
+    m[sizes : sizes + LANES] = np.full(LANES, 0.0)
     for i in range(nx):
         m[o[DX] + i] = x0[i] - m[o[X] + i]
     for k in range(n):
-        dx, du, g = o[DX] + k * lx, o[DU] + k * nu, o[G] + k * lz
-        for j in range(nu):
-            row, total = o[K] + (k * nu + j) * lx, 0.0
-            for i in range(nx + 1):
-                total += m[row + i] * m[dx + i]
-            m[du + j] = total
-            slope += total * m[g + nx + 1 + j]
-            largest = max(largest, abs(total))
-        for r in range(nx):
-            row, total = o[AB] + (k * (nx + 1) + r) * lz, 0.0
-            for i in range(nx + 1):
-                total += m[row + i] * m[dx + i]
-            for j in range(nu):
-                total += m[row + nx + 1 + j] * m[du + j]
-            m[dx + lx + r] = total
-            slope += m[dx + r] * m[g + r]
-            largest = max(largest, abs(m[dx + r]))
+        call7(
+            o[STEP],
+            base + 8 * (o[AB] + k * (nx + 1) * lz),
+            base + 8 * (o[K] + k * nu * lx),
+            base + 8 * (o[DX] + k * lx),
+            base + 8 * (o[DU] + k * nu),
+            base + 8 * (o[G] + k * lz),
+            base + 8 * o[PULLED],
+            base + 8 * slopes,
+        )
+    slope = np.sum(m[slopes : slopes + LANES])
     for r in range(nx):
         slope += m[o[DX] + n * lx + r] * m[o[G] + n * lz + r]
-        largest = max(largest, abs(m[o[DX] + n * lx + r]))
-    return largest, slope
+    return np.max(m[sizes : sizes + LANES]), slope
 
 
 @compiled
@@ -279,22 +266,24 @@ def kkt_residual(m: Floats, o: Integers) -> tuple[float, float]:
     With the quadratic problem's multipliers −H δz is the Lagrangian's gradient at the iterate, H without what the rows and
     the shift have put into it; the second number is with them.
     """
-    n, nx, nu, lx, lz = o[N], o[NX], o[NU], o[LX], o[LZ]
-    largest, curvature, nz, shift = 0.0, 0.0, nx + 1 + nu, m[o[STATE] + StateField.SHIFT]
+    n, nx, nu, lx, lz, base = o[N], o[NX], o[NU], o[LX], o[LZ], o[BASE]
+    shift, curvatures = m[o[STATE] + StateField.SHIFT], o[SCRATCH] + lz + LANES
+    residuals = curvatures + LANES
+    m[curvatures : curvatures + LANES] = np.full(LANES, 0.0)
+    m[residuals : residuals + LANES] = np.full(LANES, 0.0)
     for k in range(n):
-        h, dx, du = o[H] + k * nz * lz, o[DX] + k * lx, o[DU] + k * nu - nx - 1
         add_rows_product(m, o, k, m[o[GRID] + k + 1] - m[o[GRID] + k])
-        for i in range(nz):
-            if i == nx:
-                continue
-            total = 0.0
-            for j in range(nz):
-                if j != nx:
-                    low, high = (j, i) if j < i else (i, j)
-                    total += m[h + high * lz + low] * (m[dx + j] if j < nx else m[du + j])
-            step = m[dx + i] if i < nx else m[du + i]
-            curvature += total * step
-            largest = max(largest, abs(total - shift * step - m[o[PULLED] + i]))
+        call7(
+            o[CURVATURE],
+            base + 8 * (o[H] + k * (nx + 1 + nu) * lz),
+            base + 8 * (o[DX] + k * lx),
+            base + 8 * (o[DU] + k * nu),
+            base + 8 * o[PULLED],
+            base + 8 * (o[STATE] + StateField.SHIFT),
+            base + 8 * o[SCRATCH],
+            base + 8 * curvatures,
+        )
+    largest, curvature = 0.0, 0.0
     add_rows_product(m, o, n, 1.0)
     for i in range(nx):
         total = 0.0
@@ -302,4 +291,5 @@ def kkt_residual(m: Floats, o: Integers) -> tuple[float, float]:
             total += m[o[TERMINAL] + i * lx + j] * m[o[DX] + n * lx + j]
         curvature += total * m[o[DX] + n * lx + i]
         largest = max(largest, abs(total - shift * m[o[DX] + n * lx + i] - m[o[PULLED] + i]))
-    return largest, curvature
+    most = np.max(m[residuals : residuals + LANES])
+    return max(largest, most), curvature + np.sum(m[curvatures : curvatures + LANES])

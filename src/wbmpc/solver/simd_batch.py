@@ -15,7 +15,8 @@ from wbmpc.solver.memory_layout import (
     AB,
     ARG,
     BASE,
-    CHAIN,
+    CHAIN_FIRST,
+    CHAIN_NEXT,
     END_BOXES,
     EPS,
     GRID,
@@ -150,49 +151,35 @@ def integrate_lanes(m: Floats, o: Integers, function: int) -> int:
     middle, end, j1, j2 = k1 + 4 * size, k1 + 5 * size, o[LANE_J1], o[LANE_J2]
     derivative = function == LANES_DYNAMICS_J
     stage_lanes(o, function, x, u, k1, j1, j1)
-    if derivative:
-        start_sensitivity(m, o)
     offset_lanes(m, o, middle, x, k1, 0.5)
     stage_lanes(o, function, middle, u, k1 + size, j2, j2)
     if o[RK4] == 0:
         if derivative:
-            chain(m, o, j2, j1, o[LANE_S1], 0.5, 1.0)
+            chain(m, o, CHAIN_FIRST, j2, j1, o[LANE_S1], 0.5, 1.0)
         offset_lanes(m, o, end, x, k1 + size, 1.0)
         return end
     if derivative:
-        chain(m, o, j2, j1, o[LANE_S1], 0.5, 1.0 / 3.0)
+        chain(m, o, CHAIN_FIRST, j2, j1, o[LANE_S1], 0.5, 1.0 / 3.0)
     offset_lanes(m, o, middle, x, k1 + size, 0.5)
     stage_lanes(o, function, middle, u, k1 + 2 * size, j2, j2)
     if derivative:
-        chain(m, o, j2, o[LANE_S1], o[LANE_S2], 0.5, 1.0 / 3.0)
+        chain(m, o, CHAIN_NEXT, j2, o[LANE_S1], o[LANE_S2], 0.5, 1.0 / 3.0)
     offset_lanes(m, o, middle, x, k1 + 2 * size, 1.0)
     stage_lanes(o, function, middle, u, k1 + 3 * size, j2, j2)
     if derivative:
-        chain(m, o, j2, o[LANE_S2], o[LANE_S1], 1.0, 1.0 / 6.0)
+        chain(m, o, CHAIN_NEXT, j2, o[LANE_S2], o[LANE_S1], 1.0, 1.0 / 6.0)
     combine_lanes(m, o, end, k1)
     return end
 
 
 @compiled
-def start_sensitivity(m: Floats, o: Integers) -> None:
-    """``lane_ab`` before the chain rule: the unit matrix, for RK4 with the first slope's part."""
-    nx, lz, ab, j1, h = o[NX], o[LZ], o[LANE_AB], o[LANE_J1], o[LANE_SMALL] + INTERVAL
-    weight = m[h : h + LANES] / 6.0
-    for i in range(0, LANES * nx * lz, LANES):
-        m[ab + i : ab + i + LANES] = weight * m[j1 + i : j1 + i + LANES] if o[RK4] > 0 else np.full(LANES, 0.0)
-    for i in range(nx):
-        at = ab + LANES * i * (lz + 1)
-        m[at : at + LANES] = m[at : at + LANES] + 1.0
-
-
-@compiled
-def chain(m: Floats, o: Integers, j: int, s: int, t: int, c: float, weight: float) -> None:
-    """t = j + c h j_x s; lane_ab += weight h t."""
+def chain(m: Floats, o: Integers, function: int, j: int, s: int, t: int, c: float, weight: float) -> None:
+    """t = j + c h j_x s; lane_ab += weight h t, after the first stage's part and the unit matrix by CHAIN_FIRST."""
     base, small = o[BASE], o[LANE_SMALL]
     h = m[small + INTERVAL : small + INTERVAL + LANES]
     m[small + CHAIN_C : small + CHAIN_C + LANES] = c * h
     m[small + CHAIN_W : small + CHAIN_W + LANES] = weight * h
-    call5(o[CHAIN], base + 8 * j, base + 8 * s, base + 8 * t, base + 8 * o[LANE_AB], base + 8 * (small + CHAIN_C))
+    call5(o[function], base + 8 * j, base + 8 * s, base + 8 * t, base + 8 * o[LANE_AB], base + 8 * (small + CHAIN_C))
 
 
 @compiled

@@ -115,7 +115,7 @@ BLOCKS = (
     "soft_residual",  # (N, equalities): residuals of soft equalities as variables, and their step
     "soft_residual_step",
     "adjoint",  # (4, lx): costate, its two multiples, spare
-    "pulled",  # (lz,): Jᵀ σ J δz of one node
+    "pulled",  # (lz + 24,): Jᵀ σ J δz of one node; scratch of the forward pass
     "row_trial",  # (rows,): values at a trial point of one node
     "lanes",  # (8,)
     "multiplier",  # (equalities,)
@@ -281,7 +281,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "soft_residual": (n, max(s.ng, 1)) if problem.soft_equalities else (1,),
         "soft_residual_step": (n, max(s.ng, 1)) if problem.soft_equalities else (1,),
         "adjoint": (4, s.lx),
-        "pulled": (s.lz,),
+        "pulled": (s.lz + 3 * LANES,),
         "row_trial": (rows,),
         "lanes": (8,),
         "multiplier": (max(s.ng, 1),),
