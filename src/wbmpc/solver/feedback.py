@@ -22,7 +22,7 @@ compiled = LIBRARY.step
 #: Share of a bound (or of 1, where that is more) beyond which an input counts as cut: the rest is rounding.
 ROUNDING = 1e-9
 #: Turns in which rows of several inputs are met beside the bounds of single ones.
-TURNS = 20
+TURNS = 100
 #: What became of an input.
 FINE, CUT, NOT_FINITE = 0, 1, -1
 
