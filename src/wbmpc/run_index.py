@@ -157,9 +157,9 @@ filter.addEventListener("input", () => { const words = filter.value.toLowerCase(
 </script>
 <style>th[aria-sort=ascending]::after { content: " ▲" } th[aria-sort=descending]::after { content: " ▼" }
 #filter { width: 100%; padding: 10px 14px; font: inherit; color: inherit; border: 1px solid var(--line); border-radius: 8px; background: var(--card);
-  margin: 20px 0 0 } th { white-space: normal; vertical-align: top } th.m { min-width: 104px }
+  margin: 20px 0 0 } th { white-space: normal; vertical-align: top } th.m { min-width: 84px }
 .note, .differs { display: block; white-space: normal; min-width: 220px } .differs { color: var(--soft) } main { max-width: 1460px }
-main :is(th, td) { padding: 6px 9px; font-size: 14px }</style>"""
+main :is(th, td) { padding: 6px; font-size: 14px }</style>"""
 
 
 def page(runs: Sequence[Entry], beside: Path, studies: str = "") -> str:

@@ -85,6 +85,4 @@ def test_entries_of_arrays_are_the_joints_of_the_robot() -> None:
     assert entry_name("/command/arm", "data.6", 7, joints) == "panda_joint7"
     assert entry_name("/command/arm", "data.6", 8, joints) == "data.6"  # another robot's
     assert entry_name("/measured/gyro", "data.2", 3, {}) == "z"
-    legs = joint_groups({"robot": "swerve-ur10"})
-    assert entry_name("/command/brake", "data.1", 4, legs) == legs["leg"][1] == "leg_RF"
     assert joint_groups({"robot": "/nowhere.yaml"}) == joint_groups("damaged") == {}

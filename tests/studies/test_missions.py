@@ -199,6 +199,7 @@ def test_the_hand_holds_still_while_the_robot_reconfigures(legs: str) -> None:
         moved[:2] == pytest.approx(np.full(2, np.pi / 4 + 0.498), abs=0.02) if legs == "targets" else moved.max() > 0.2
     )
     start, margin = result.log.array("support_margin")[0, 0], m["support_margin_end"]
+    assert {"Speeds: wheel", "Joint positions: leg", "Drives: arm"} <= {plot.title for plot in result.plots}
     assert margin > start + 0.05
 
 

@@ -63,3 +63,11 @@ def test_a_page_says_on_which_seeds_and_under_which_constraints(more: dict[str, 
     trials = [{**t, "values": t["values"][:1], "feasible": True} for t in TRIALS]
     page = tune_page("t", tuning(**{"seeds": "4-6", **more}), trials, trials[:1], False)
     assert "3 trials on the seeds 4, 5, 6, which are not reported. 0 pruned" in page and says in page
+
+
+def test_a_trial_that_breaks_constraints_does_not_flatten_the_others() -> None:
+    """It counts as its limit, here a hundred times the others. Truth: the span of those that keep them, and 8 % around it."""
+    pytest.importorskip("plotly")
+    trials = [{**t, "values": [100.0 if k == 1 else 1.0 + k]} for k, t in enumerate(TRIALS)]
+    page = tune_page("t", tuning(), trials, trials[:1], False)
+    assert page.count('"range":[0.84,3.16]') == 3

@@ -165,6 +165,17 @@ def test_a_film_draws_no_picture_twice(run: SimpleNamespace, tmp_path: Path, mon
     assert len({picture.tobytes() for picture in written}) > 200  # 0.1 s each
 
 
+def test_a_clip_reads_nothing_that_it_does_not_show(
+    run: SimpleNamespace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Contact forces and joint speeds took a fifth of its time."""
+    pytest.importorskip("PIL.Image")
+    read, table = [], Recording.table
+    monkeypatch.setattr(Recording, "table", lambda recording, name: read.append(name) or table(recording, name))
+    render.render(Film(read_recording(run.folder)), tmp_path / "a.gif", (0.0, 0.2), (64, 48))
+    assert read and not [name for name in read if not name.startswith("/end_effector/")]
+
+
 def test_a_clip_that_would_fill_the_memory_is_one_message(run: SimpleNamespace, tmp_path: Path) -> None:
     film = Film(read_recording(run.folder))
     film.times = np.arange(0.0, 7200.0, 0.02)

@@ -49,9 +49,6 @@ _CHANNELS = (
 #: What the entries of arrays are called whatever the robot.
 _AXES = {"gyro": ("x", "y", "z"), "accel": ("x", "y", "z"), "force": ("x", "y", "z")}
 
-#: Groups of joints by the part of a topic that says what holds them.
-_LOCKED = {"brake": "leg"}
-
 
 class Columns:
     """Names and units of what a recording's topics hold; "" for a unit that is not known. ``groups`` of joints, where the robot is known."""
@@ -126,6 +123,6 @@ def entry_name(topic: str, column: str, count: int, joints: Mapping[str, tuple[s
     names = (
         torques
         if part in ("torque", "position", "speed", "stiffness", "damping")
-        else joints.get(_LOCKED.get(part, part), _AXES.get(part, ()))
+        else joints.get(part, _AXES.get(part, ()))
     )
     return names[int(found[1])] if len(names) == count else column

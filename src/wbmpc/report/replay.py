@@ -41,8 +41,18 @@ body {{ background: none }} .replay canvas {{ height: calc(100vh - {100 if plays
 {_player(parts, _LEGEND if predicted else "Drag to turn.")}<script>{beside("replay.js")}</script></html>"""
 
 
-_LEGEND = """<span class="trail">■</span> end effector <span class="goal">■</span> its reference <span class="plan">■</span> predicted
-<span class="base">■</span> predicted base. Drag to turn."""
+_LEGEND = (
+    " ".join(
+        f'<span class="entry"><span class="{kind}">■</span> {text}</span>'
+        for kind, text in (
+            ("trail", "end effector"),
+            ("goal", "its reference"),
+            ("plan", "predicted"),
+            ("base", "predicted base."),
+        )
+    )
+    + " Drag to turn."
+)
 
 
 def _player(parts: Sequence[Part], hint: str) -> str:

@@ -28,6 +28,7 @@ def tune_page(title: str, tune: Tuning, trials: Trials, front: Trials, reported:
     done = "" if tune.allow_failures else f"{' and ' * bool(limits)}all runs complete"
     about = f"{len(trials)} trials on the seeds {', '.join(map(str, tune.seeds[:20]))}{', …' * (len(tune.seeds) > 20)}, which are not reported. "
     about += f"{len(trials) - len(whole)} pruned, {feasible} keep the constraints{f' ({limits}{done})' * bool(limits or done)}."
+    about += " Values are in SI units; gray points break constraints, and a double click shows those outside of a plot."
     kind, several = "" if front else "bad", len(names) > 1
     # of several objectives there is no best over the trials
     plots = [] if several else [("Trials", _history(whole, names[0]))]
@@ -102,7 +103,7 @@ def _history(trials: Trials, name: str) -> str:
         line.append(best if best < float("inf") else None)
     figure = go.Figure(_points(trials, [t["trial"] for t in trials]))
     figure.add_scatter(x=[t["trial"] for t in trials], y=line, mode="lines", line={"color": "#d1495b", "shape": "hv"})
-    return figure_html(figure, "trial", name)
+    return _framed(figure, trials, "trial", name)
 
 
 def _slice(trials: Trials, key: str, name: str, log: bool, place: int) -> str:
@@ -112,7 +113,7 @@ def _slice(trials: Trials, key: str, name: str, log: bool, place: int) -> str:
     figure = go.Figure(_points(trials, [str(v) if isinstance(v, list | dict | bool) else v for v in x], place))
     if log:
         figure.update_xaxes(type="log")
-    return figure_html(figure, key, name)
+    return _framed(figure, trials, key, name, place)
 
 
 def _against(trials: Trials, front: Trials, names: Sequence[str], places: tuple[int, int]) -> str:
@@ -127,6 +128,15 @@ def _against(trials: Trials, front: Trials, names: Sequence[str], places: tuple[
         mode="lines+markers" if len(names) == 2 else "markers", line={"color": "#d1495b", "width": 1}, marker={"size": 8},
     )  # fmt: skip
     return figure_html(figure, names[i], names[j])
+
+
+def _framed(figure: Any, trials: Trials, x: str, y: str, place: int = 0) -> str:
+    """With the values that keep the constraints in the picture: one that breaks them counts as its limit, which may be far away."""
+    kept = [t["values"][place] for t in trials if t["feasible"]]
+    if kept:
+        edge = 0.08 * (max(kept) - min(kept)) or 0.08 * abs(kept[0]) or 1.0
+        figure.update_yaxes(range=[min(kept) - edge, max(kept) + edge])
+    return figure_html(figure, x, y)
 
 
 def _points(trials: Trials, x: list[Any], place: int = 0) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from wbmpc.errors import InputError
 from wbmpc.output_file import write_text
 from wbmpc.plots.motion import Motion, picture_points
 from wbmpc.recording.plots import end_effector_error, overview, positions
-from wbmpc.recording.reader import Recording
+from wbmpc.recording.reader import Recording, Table
 from wbmpc.report import plots_page
 from wbmpc.report.replay import replay
 from wbmpc.simulation.scene import Body, Contact, Scene
@@ -96,14 +97,12 @@ class Film:
             name: self._paths(topic)
             for name, topic in (("end_effector_plan", "/plan/end_effector"), ("base_plan", "/plan"))
         }
-        self._forces = {n[9:]: recording.table(n) for n in recording.topics if n.startswith("/contact/")}
         self._goals = (
             recording.table("/end_effector/reference") if "/end_effector/reference" in recording.topics else None
         )
         way = positions(recording, "/end_effector/reference")
         self._way = np.zeros((0, 3)) if way is None else way[1]
         self._trail = positions(recording, "/end_effector/pose")
-        self.numbers = self._numbers()
         period = recording.topics.get("/mpc/period")
         #: Of a solve [s]; nan without an MPC.
         self.deadline = float(period.last()) if period else float("nan")
@@ -120,7 +119,14 @@ class Film:
             return np.zeros(0), []
         return np.array(found.times), [np.array([p["pose"][:3] for p in m["poses"]]) for _, m in found.messages()]
 
-    def _numbers(self) -> dict[str, tuple[Array, Array]]:
+    @cached_property
+    def _forces(self) -> dict[str, Table]:
+        """Contact forces by body; not read for a clip, which does not show them."""
+        topics = self.recording.topics
+        return {name[9:]: self.recording.table(name) for name in topics if name.startswith("/contact/")}
+
+    @cached_property
+    def numbers(self) -> dict[str, tuple[Array, Array]]:
         """Times [s] and values of the plotted numbers, by their names in a snapshot or in :mod:`wbmpc.view.replay_plots`."""
         found = {}
         error = end_effector_error(self.recording)

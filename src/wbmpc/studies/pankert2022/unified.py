@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from wbmpc.bases.base import System
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
@@ -35,6 +36,7 @@ from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
+from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.tasks.paths import Approach
 from wbmpc.types import Timing
 
@@ -139,6 +141,7 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
     stand_still(plant, controller, timing, settings.settle_time)
     mpc.reset(home)
     log, stance_of = _labeled_log(robot), StanceOf(robot)
+    joints = JointRecord(log, robot, System(plant, controller, mpc, timing))
 
     def record(now: float, command: Any, plans: Any) -> None:
         if round(now / timing.period) % 4:
@@ -157,13 +160,15 @@ def build(settings: SwerveUnifiedSettings, seed: int) -> Scenario:
         log.add("brake", now, command.brake)
         log.add("steer", now, m.steer)
         log.add("state", now, truth.state)
+        log.add("input", now, plans.current.feedforward(now))
+        joints.tick(now, truth, plans)
         log.add("wheel_slip", now, truth.slip)
         log.add("support_margin", now, [float(region_margin(stance.feet, stance.zmp)), stance.polygon_margin])
 
     return Scenario.single(
         log, Loop(plant, controller, mpc, timing, duration, record).run,
         lambda run: metrics(log, begin, settings.legs.kind == "support", len(controller.faults), controller.holds),
-        lambda run: plots(log, robot, begin), IDEALIZATIONS,
+        lambda run: [*plots(log, robot, begin), *joints.plots()], IDEALIZATIONS,
     )  # fmt: skip
 
 
