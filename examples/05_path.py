@@ -6,18 +6,15 @@ Run: python examples/05_path.py
 import numpy as np
 
 import wbmpc as wb
-from wbmpc.default_problem import default_problem
 
 robot = wb.load_robot("ridgeback-ur5")
-mpc = wb.MPC(wb.path_problem(default_problem(robot)), rate=25.0)
+mpc = wb.default_mpc(robot, progress=robot.tool)
 position, orientation = robot.pose(robot.home)
 circle = wb.Path.circle(position, position + [0.0, 0.5, 0.0], quaternion=orientation)
-mpc.reference["state"] = wb.Reference.constant(robot.home)
 mpc.path.follow(circle, speed=2.0, acceleration=1.0)
-mpc.reset(robot.home)
 
 x, worst = robot.home, 0.0
-for k in range(150):
+for k in range(round(6.0 * mpc.rate)):
     t = k / mpc.rate
     policy = mpc.update(wb.Observation(t, x))
     x = mpc.simulate(x, policy(t, x), mpc.period)

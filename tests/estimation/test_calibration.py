@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from wheels_on_paper import UNEVEN, Drawn, prior, record, ring
 
 from effort import draws
-from wbmpc.bases.swerve.calibration import calibrate, fit_wheels
+from wbmpc.bases.swerve.calibration import fit_wheels
 from wbmpc.bases.swerve.odometry_filter import OdometryNoise
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
@@ -37,7 +37,7 @@ def test_zeros_and_radii_are_found_within_their_covariance() -> None:
     values, left = [], []
     for seed in range(draws(6, 20)):
         base = drawn(seed)
-        found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
+        found = fit_wheels(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM).calibration
         error = np.concatenate(
             [found.steer_offset - base.zeros, found.wheel_radius / UNEVEN.wheel_radius - base.factors]
         )
@@ -65,7 +65,7 @@ def test_it_is_the_least_squares_fit_of_the_whole_record() -> None:
 
     fit = least_squares(apart, np.concatenate([np.zeros(8), data.places[0]])).x
     data = WheelRecord(data.times, data.leg, data.steer, data.wheel, data.place_times, data.places, data.place_std)
-    found = calibrate(UNEVEN, data, prior=known, noise=OdometryNoise(along=1e-6, across=1e-6))
+    found = fit_wheels(UNEVEN, data, prior=known, noise=OdometryNoise(along=1e-6, across=1e-6)).calibration
     std = found.std
     assert np.abs((found.steer_offset - fit[:4]) / std[0]).max() < 0.6
     assert np.abs((found.wheel_radius / UNEVEN.wheel_radius - 1.0 - fit[4:8]) / std[1]).max() < 0.6
@@ -77,7 +77,7 @@ def test_two_surveyed_poses_show_the_direction() -> None:
     base = Drawn(UNEVEN, 1, motion=lambda t: np.array([0.25, 0.0, 0.0]), length=8.0, zero=2e-3, gyro=0.0)
     data = record(base, (5e-4, 5e-4, 2e-4), every=400)
     assert len(data.places) == 2
-    found = calibrate(UNEVEN, WheelRecord(*[getattr(data, f) for f in FIELDS]), prior=prior(), noise=CALM)
+    found = fit_wheels(UNEVEN, WheelRecord(*[getattr(data, f) for f in FIELDS]), prior=prior(), noise=CALM).calibration
     assert abs(found.steer_offset.mean() - base.zeros.mean()) < 1e-3
     assert found.covariance[:4, :4].mean() ** 0.5 < 0.5e-3 < 2e-3 / 2.0
     assert found.std[0].max() > 1e-3  # what the drive did not show stays uncertain
@@ -104,14 +104,14 @@ def test_open_legs_show_every_zero() -> None:
     apart, nothing = [], WheelCalibration.unknown(ring(4), 2e-3, 0.0, 0.0)
     for seed in range(draws(4, 8)):
         base, data = straight_on(seed, 1.0)
-        found = calibrate(base.geometry, data, prior=nothing, noise=CALM)
+        found = fit_wheels(base.geometry, data, prior=nothing, noise=CALM).calibration
         std = np.sqrt(HIDDEN @ found.covariance[:4, :4] @ HIDDEN)
         assert std < 0.4e-3
         apart.append(HIDDEN @ (found.steer_offset - base.zeros) / std)
     low, high = chi2.ppf([0.001, 0.999], len(apart))
     assert low < np.sum(np.square(apart)) < high, apart
     base, data = straight_on(0, 0.0)
-    shut = calibrate(base.geometry, data, prior=nothing, noise=CALM)
+    shut = fit_wheels(base.geometry, data, prior=nothing, noise=CALM).calibration
     assert np.sqrt(HIDDEN @ shut.covariance[:4, :4] @ HIDDEN) > 0.99e-3  # 2 mrad / √4
 
 
@@ -123,12 +123,14 @@ def test_a_wheel_in_the_air_is_left_out(hanging: int, caplog: pytest.LogCaptureF
     data = record(base, (0.005, 0.005, 0.002))
     steer, wheel, t = data.steer.copy(), data.wheel.copy(), data.times
     turned = WheelRecord(**{**vars(data), "steer": steer + 0.05 * ~rest})
-    found = calibrate(UNEVEN, turned, prior=WheelCalibration.unknown(UNEVEN, 0.05, 2e-3, 0.0), noise=CALM)
+    found = fit_wheels(UNEVEN, turned, prior=WheelCalibration.unknown(UNEVEN, 0.05, 2e-3, 0.0), noise=CALM).calibration
     error = found.steer_offset[hanging] - base.zeros[hanging] - 0.05
     assert not caplog.records and abs(error) < 4.0 * found.std[0][hanging] < 0.1
     steer[:, hanging] += 0.05 * np.sin(1.3 * t)
     wheel[:, hanging] += 0.05 * np.cumsum(np.sign(np.sin(0.7 * t)) * np.gradient(wheel[:, hanging]))
-    found = calibrate(UNEVEN, WheelRecord(**{**vars(data), "steer": steer, "wheel": wheel}), prior=prior(), noise=CALM)
+    found = fit_wheels(
+        UNEVEN, WheelRecord(**{**vars(data), "steer": steer, "wheel": wheel}), prior=prior(), noise=CALM
+    ).calibration
     assert f"wheel {hanging + 1} of 4" in caplog.text
     apart = [found.steer_offset - base.zeros, found.wheel_radius / UNEVEN.wheel_radius - base.factors]
     for error, std in zip(apart, found.std, strict=True):
@@ -139,7 +141,7 @@ def test_calibrated_odometry_drifts_less() -> None:
     errors = {"before": [], "after": []}
     for seed in range(5):
         base = drawn(seed)
-        found = calibrate(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM)
+        found = fit_wheels(UNEVEN, record(base, (0.005, 0.005, 0.002)), prior=prior(), noise=CALM).calibration
         again = drawn(seed, length=40.0)
         samples = list(again)
         np.testing.assert_array_equal(again.zeros, base.zeros)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from wheels_on_paper import UNEVEN, Drawn, prior, record, ring
 
-from wbmpc.bases.swerve.calibration import calibrate, replay
+from wbmpc.bases.swerve.calibration import fit_wheels, replay
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration, module_keys
 from wbmpc.bases.swerve.wheel_record import WheelRecord
 from wbmpc.errors import InputError
@@ -204,10 +204,10 @@ def test_records_that_make_no_sense_are_rejected(changed: dict[str, np.ndarray],
 def test_another_base_and_poses_that_do_not_fit_are_rejected() -> None:
     three = {name: SOUND[name][:, :3] for name in ("steer", "wheel", "leg")}
     with pytest.raises(InputError, match="4 modules"):
-        calibrate(UNEVEN, WheelRecord.of({**SOUND, **three}))
+        fit_wheels(UNEVEN, WheelRecord.of({**SOUND, **three}))
     far = SOUND["place"] + np.array([[0.0] * 6, [3.0] + [0.0] * 5, [5.0] + [0.0] * 5])
     with pytest.raises(InputError, match="1 of 3 global poses fit"):
-        calibrate(UNEVEN, WheelRecord.of({**SOUND, "place": far}))
+        fit_wheels(UNEVEN, WheelRecord.of({**SOUND, "place": far}))
 
 
 def test_times_that_differ_by_rounding_are_the_same() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import robot
-from wbmpc.bases.ball.payload_step import Load, learn
+from wbmpc.bases.ball.payload_step import SPREADS, Load, learn
 from wbmpc.kernel.step import bind
 
 ROBOT = robot("rezero")
@@ -21,6 +21,7 @@ def weighed(force: np.ndarray, seconds: float = 4.0, weight: np.ndarray | None =
         "weight": ROBOT.base.numeric.tool_weight(HOME) if weight is None else weight,
         "force": force.copy(),
         "load": load,
+        "spreads": np.array(SPREADS),
     }
     step = bind(learn, arrays, n=N)
     for _ in range(round(seconds / H)):

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from wbmpc.errors import InputError
-from wbmpc.robots import limited_process, trial_compilation
+from wbmpc.robots import limited_process, model_file
 from wbmpc.robots.file_limits import check_size
 from wbmpc.robots.model_file import parse, read_model
 from wbmpc.robots.xml_text import without_comments
@@ -145,11 +145,11 @@ def test_plain_models_and_those_of_the_package_need_no_trial(tmp_path: Path, mon
     def no(*_: object) -> None:
         raise AssertionError("a process was started")
 
-    monkeypatch.setattr(trial_compilation, "run_limited", no)
+    monkeypatch.setattr(model_file, "run_limited", no)
     (tmp_path / "part.xml").write_text('<mujocoinclude><site name="s"/></mujocoinclude>')
     (tmp_path / "arm.xml").write_text(ARM.format(top="<!-- -- -->", world='<include file="part.xml"/>'))
     assert parse(read_model(tmp_path / "arm.xml")).site("s") is not None
-    data = Path(trial_compilation.__file__).with_name("data")
+    data = Path(model_file.__file__).with_name("data")
     for path in data.glob("*10.xml"):
         parse(read_model(path))
     (tmp_path / "part.xml").write_text('<mujocoinclude><replicate count="3"><site/></replicate></mujocoinclude>')
@@ -159,7 +159,7 @@ def test_plain_models_and_those_of_the_package_need_no_trial(tmp_path: Path, mon
 
 def test_a_model_is_tried_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = list[object]()
-    monkeypatch.setattr(trial_compilation, "run_limited", lambda order: calls.append(order) or {})
+    monkeypatch.setattr(model_file, "run_limited", lambda order: calls.append(order) or {})
     path = slow_model(tmp_path, 10)
     for _ in range(3):
         parse(read_model(path))

@@ -56,45 +56,38 @@ class Sphere:
 
 
 @dataclass(frozen=True, eq=False)
-class Capsule:
+class _Along:
+    """What is round about a line."""
+
+    a: ArrayLike
+    b: ArrayLike
+    radius: float
+
+    def __post_init__(self) -> None:
+        who = type(self).__name__.lower()
+        checks.positive(who, radius=self.radius)
+        _set(self, a=checks.numbers(who, "a", self.a, 3), b=checks.numbers(who, "b", self.b, 3))
+        _size(who, radius=self.radius)
+        checks.at_most(who, LARGEST, a=self.a, b=self.b)
+
+    @cached_property
+    def solid(self) -> Solid:
+        """The same as numbers, in its own axes."""
+        kind = type(self).__name__.lower()
+        return solids.along(kind, np.asarray(self.a, float), np.asarray(self.b, float), float(self.radius))
+
+
+class Capsule(_Along):
     """All points within ``radius`` [m] of the line from ``a`` (3) to ``b`` (3) [m]."""
 
-    a: ArrayLike
-    b: ArrayLike
-    radius: float
 
-    def __post_init__(self) -> None:
-        checks.positive("capsule", radius=self.radius)
-        _set(self, a=checks.numbers("capsule", "a", self.a, 3), b=checks.numbers("capsule", "b", self.b, 3))
-        _size("capsule", radius=self.radius)
-        checks.at_most("capsule", LARGEST, a=self.a, b=self.b)
-
-    @cached_property
-    def solid(self) -> Solid:
-        """The same as numbers, in its own axes."""
-        return solids.along("capsule", np.asarray(self.a, float), np.asarray(self.b, float), float(self.radius))
-
-
-@dataclass(frozen=True, eq=False)
-class Cylinder:
+class Cylinder(_Along):
     """A cylinder of ``radius`` [m] with flat ends about ``a`` (3) and ``b`` (3) [m]."""
 
-    a: ArrayLike
-    b: ArrayLike
-    radius: float
-
     def __post_init__(self) -> None:
-        checks.positive("cylinder", radius=self.radius)
-        _set(self, a=checks.numbers("cylinder", "a", self.a, 3), b=checks.numbers("cylinder", "b", self.b, 3))
-        _size("cylinder", radius=self.radius)
-        checks.at_most("cylinder", LARGEST, a=self.a, b=self.b)
+        super().__post_init__()
         if np.linalg.norm(np.subtract(self.b, self.a)) < 1e-6:
             raise InputError("cylinder: 'a' and 'b' are the same point; valid: the centers of its two ends")
-
-    @cached_property
-    def solid(self) -> Solid:
-        """The same as numbers, in its own axes."""
-        return solids.along("cylinder", np.asarray(self.a, float), np.asarray(self.b, float), float(self.radius))
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,14 +116,15 @@ class Report:
     def of(cls, state: str, seconds: float, own: Board, board: Board, punctuality: Punctuality) -> Report:
         """From what the control thread (``own``) and the MPC's side (``board``) have written down up to now."""
         # misses before the total that they are of, which goes on meanwhile: else more deadlines may be missed than there were
-        mpc = {n: int(board[n]) for n in ("misses", "skipped", "failures", "repeated", "updates")}
-        ticks = {n: int(own[n]) for n in ("misses", "skipped", "clamped", "ticks", "late", "policies")}
-        spreads = {n: Spread.of(own.samples(n)) for n in ("latency", "ready", "jitter", "tick", "sent")}
+        mpc_misses, mpc_skipped = int(board["misses"]), int(board["skipped"])
+        totals: dict[str, Any] = {n: int(board[n]) for n in ("failures", "repeated", "updates")}
+        totals |= {n: int(own[n]) for n in ("misses", "skipped", "clamped", "ticks", "late", "policies")}
+        spreads: dict[str, Any] = {n: Spread.of(own.samples(n)) for n in ("latency", "ready", "jitter", "tick", "sent")}
         return cls(
             state=state,
             seconds=seconds,
-            mpc_misses=mpc.pop("misses"),
-            mpc_skipped=mpc.pop("skipped"),
+            mpc_misses=mpc_misses,
+            mpc_skipped=mpc_skipped,
             solve=Spread.of(board.samples("solve_time")),
             update=Spread.of(board.samples("update_time")),
             limit_violations=int(board["limit_violations"]),
@@ -132,8 +133,7 @@ class Report:
             initial_state_mismatches=int(board["initial_state_mismatches"]),
             worst_initial_state_mismatch=board["worst_initial_state_mismatch"],
             late_commands=dict(punctuality.because),
-            **mpc,
-            **ticks,
+            **totals,
             **spreads,
         )
 

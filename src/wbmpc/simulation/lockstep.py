@@ -293,14 +293,12 @@ def _tick(
         plant.step(command, timing.steps)
     except FallPredicted as error:
         return Ending(f"stopped at {t:.2f} s: {error}", fell=True)
-    except (SensorFailure, DisturbanceTooLarge) as error:
+    except (SensorFailure, DisturbanceTooLarge, NotFinite) as error:
         return Ending(f"stopped at {t:.2f} s: {error}")
     except RobotStuck as error:
         return Ending(f"stopped at {t:.2f} s: {error}", stuck=True, declined=isinstance(error, WayDeclined))
     except RunAborted as error:
         return Ending(f"aborted at {t:.2f} s: {error}", interrupted=isinstance(error, EndedByUser))
-    except NotFinite as error:
-        return Ending(f"stopped at {t:.2f} s: {error}")
     except Exception as error:
         if i == 0:
             raise

@@ -222,7 +222,7 @@ class ModelSteps:
         fall_predictor: FallPredictor | None,
     ) -> Step:  # fmt: skip
         n = observer.size
-        names = ("weight", "model", "believed", "apart", "load", "shift", "whole", "heading", "leans")
+        names = ("weight", "model", "believed", "apart", "load", "spreads", "shift", "whole", "heading", "leans")
         a: dict[str, NDArray[Any]] = {name: np.zeros(max(n, 6)) for name in names} | observer.arrays
         a |= {"inertial": np.zeros(n * n + n), "given": np.zeros(2 * n + 3), "found": np.zeros(2)}
         a["places"] = np.zeros(2, np.int64)

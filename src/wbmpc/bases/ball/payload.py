@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.ball.payload_step import AFTER, CALM, Load, update_mass
+from wbmpc.bases.ball.payload_step import AFTER, CALM, SPREADS, Load, update_mass
 from wbmpc.kernel.step import Step, bind
 
 
@@ -30,7 +30,7 @@ class PayloadEstimator:
 
     def __init__(self, weight: Callable[[Array], Array], mass: float = 0.0) -> None:
         self.weight = weight
-        self._own = {"load": np.zeros(len(Load))}
+        self._own = {"load": np.zeros(len(Load)), "spreads": np.array(SPREADS)}
         self._own["load"][[Load.MASS, Load.CALM, Load.LEFT]] = mass, CALM, AFTER
         self._update: Step | None = None
 

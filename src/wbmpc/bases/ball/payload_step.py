@@ -20,7 +20,7 @@ from wbmpc.kernel.ir import Floats
 #: How fast a mass is weighed [1/s]; the largest [kg]; standard deviation [kg] that the arm's torques alone must determine it with.
 RATE, MAXIMUM, SURE = 2.0, 3.0, 0.5
 #: By how much forces on the base and in the arm's joints are off where there is no mass [N m].
-BASE_SPREAD, ARM_SPREAD = 2.5, 0.6
+SPREADS = 2.5, 0.6
 #: Gain [1/s] of the arm's speed under the model; of the mass [1/s]; masses [kg] from which on it counts, and until when.
 SPEED_GAIN, MASS_GAIN, BEGINS, ENDS = 60.0, 40.0, 0.25, 0.05
 #: A robot that moves slowly for so long [s] detects a load that comes until so long after it [s]: in fast motions the model's errors
@@ -53,14 +53,15 @@ class Payload(NamedTuple):
     believed: Floats  # (n), the speed under it
     apart: Floats  # (n), what is measured besides
     load: Floats  # Load
+    spreads: Floats  # (2) [N m], SPREADS
 
 
 @compiled
-def arm_observes_mass(n: int, weight: Floats) -> bool:
+def arm_observes_mass(n: int, weight: Floats, spreads: Floats) -> bool:
     """Whether the arm observes a mass by itself and better than the base."""
     whole, own = 0.0, 0.0
     for i in range(n):
-        spread = BASE_SPREAD if i < BASE else ARM_SPREAD
+        spread = spreads[0] if i < BASE else spreads[1]
         each = weight[i] ** 2 / spread**2
         whole += each
         if i >= BASE:
@@ -78,13 +79,13 @@ def change(n: int, weight: Floats, force: Floats, load: Floats, by: float, known
 
 
 @step
-def learn(n: int, weight: Floats, force: Floats, load: Floats, h: float) -> None:
+def learn(n: int, weight: Floats, force: Floats, load: Floats, spreads: Floats, h: float) -> None:
     """What of the ``force`` is like the weight becomes mass, for ``h`` [s], where the arm observes it."""
-    if not arm_observes_mass(n, weight):
+    if not arm_observes_mass(n, weight, spreads):
         return
     alike, square = 0.0, 0.0
     for i in range(n):
-        spread = BASE_SPREAD if i < BASE else ARM_SPREAD
+        spread = spreads[0] if i < BASE else spreads[1]
         scaled = weight[i] / spread**2
         alike += scaled * force[i]
         square += scaled * weight[i]
@@ -132,7 +133,7 @@ def detect_change(d: Disturbance, p: Payload, learning: float, h: float) -> tupl
 def update_mass(d: Disturbance, p: Payload, learning: float, h: float) -> None:
     """The mass of this tick, at once where a load comes or goes, else as it is learned; the force goes without it. What is known of the
     disturbance is that of :func:`wbmpc.bases.ball.disturbance.observe`, ``h`` [s] ago."""
-    if not arm_observes_mass(d.size, p.weight):
+    if not arm_observes_mass(d.size, p.weight, p.spreads):
         return
     for i in range(d.size):
         p.model[i] = (d.after[i] - d.velocity[i] + d.innovation[i]) / h
@@ -140,4 +141,4 @@ def update_mass(d: Disturbance, p: Payload, learning: float, h: float) -> None:
     if p.load[Load.CHANGING] > 0.0:
         change(d.size, p.weight, d.force, p.load, by, known)
     else:
-        learn(d.size, p.weight, d.force, p.load, learning * h)
+        learn(d.size, p.weight, d.force, p.load, p.spreads, learning * h)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from wbmpc.bases.ball.controller import BallController
-from wbmpc.bases.ball.defaults import rezero_mpc
+from wbmpc.bases.ball.defaults import rezero_mpc, set_home_references
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -16,7 +14,6 @@ from wbmpc.default_problem import hold
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.world import Obstacles
-from wbmpc.ocp import Reference
 from wbmpc.settings import ACTUATOR_TIME_CONSTANT, MpcSettings
 
 
@@ -25,9 +22,7 @@ def make_mpc(robot: RobotModel, obstacles: Obstacles | None = None, **changes: A
     settings = MpcSettings(**{**mpc_settings(barrier_mu=3e-2).model_dump(), **changes})
     home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     mpc = rezero_mpc(robot, settings, STEPS_AND_PUSHES, obstacles)
-    mpc.reference["body"] = Reference.constant(robot.home)
-    mpc.reference["twist"] = Reference.constant(np.zeros(6))
-    mpc.reference["torque"] = Reference.constant(torque)
+    set_home_references(mpc, robot, torque)
     hold(mpc, *robot.pose(home))
     mpc.reset(home, torque)
     return mpc

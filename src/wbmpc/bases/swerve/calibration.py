@@ -313,11 +313,3 @@ def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibr
             "log: the record shows nothing of the wheels that was not known before: the base must roll on between global poses, "
             "straight ahead and sideways for zeros and radii, farther than the poses are uncertain"
         )
-
-
-def calibrate(
-    geometry: ModuleGeometry, record: WheelRecord, *, prior: WheelCalibration | None = None,
-    noise: OdometryNoise | None = None,
-) -> WheelCalibration:  # fmt: skip
-    """Steer zeros and wheel radii that a record shows, with their covariance; arguments and errors of :func:`fit_wheels`."""
-    return fit_wheels(geometry, record, prior=prior, noise=noise).calibration

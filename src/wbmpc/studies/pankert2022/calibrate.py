@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.bases.swerve.calibration import calibrate
+from wbmpc.bases.swerve.calibration import fit_wheels
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.errors import InputError
@@ -37,7 +37,7 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
             track_arm(robot, settings.plant, settings.tracked_poses, seed, log)
         try:
             if not reason:
-                found.append(calibrate(swerve_base(robot).geometry, record_of(log)))
+                found.append(fit_wheels(swerve_base(robot).geometry, record_of(log)).calibration)
         except InputError as error:  # the drive is worth keeping
             reason = f"the calibration: {error}"
         return Outcome(Ending.of(plant, reason=reason), list(map(str, controller.faults)), controller)

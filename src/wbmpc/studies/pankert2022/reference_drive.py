@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_control import FLOATING, floating
-from wbmpc.bases.swerve.calibration import calibrate
+from wbmpc.bases.swerve.calibration import fit_wheels
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
@@ -206,7 +206,7 @@ def _driven(robot: RobotModel, settings: SwerveCalibrateSettings, seed: int) -> 
     *_, reason = drive(robot, settings, seed, log, preparation(), odometry=False)
     if reason:
         raise RunAborted(f"the reference drive for the calibration: {reason}")
-    return calibrate(swerve_base(robot).geometry, record_of(log))
+    return fit_wheels(swerve_base(robot).geometry, record_of(log)).calibration
 
 
 def calibrated(robot: RobotModel, plant: SwervePerturbation, lidar: LidarSettings, seed: int) -> WheelCalibration:
