@@ -196,8 +196,7 @@ def attempt(drawn: Drawn, settings: SQP) -> tuple[Solver, Solution]:
 def other_settings(drawn: Drawn) -> str:
     """Which settings of ours solve what the drawn ones do not."""
     others = {"1000 iterations": replace(drawn.settings, iterations=1000)}
-    if drawn.ocp.integrator == "rk2":
-        others["hessian='exact'"] = SQP(hessian="exact", iterations=300)
+    others["hessian='exact'"] = SQP(hessian="exact", iterations=300)
     for name, settings in others.items():
         if attempt(drawn, settings)[1].status in (Status.CONVERGED, Status.RELAXED):
             return f"; ours with {name}"

@@ -1,6 +1,6 @@
 """Solves in receding horizon, 100 000 or as many as are asked for: growth of the memory, drift of the solve time.
 
-Usage: python benchmarks/soak.py [--robot rezero swerve arm mixed] [--solves 100000] [--json FILE]
+Usage: python benchmarks/soak.py [--robot rezero swerve arm mixed] [--solves 100000] [--minutes 20] [--json FILE]
 `mixed` solves the problems of all robots in turn.
 """
 
@@ -30,6 +30,8 @@ from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.
 PERIOD, NOISE = 0.005, 1e-3
+#: Solves between two looks at the memory.
+SAMPLE = 100
 
 
 def rezero(seconds: float) -> MPC:
@@ -111,26 +113,28 @@ class Run:
         return done
 
 
-def run(name: str, solves: int) -> dict[str, Any]:
-    """Figures by name; times of a tenth are of the same problems in each tenth."""
+def run(name: str, solves: int, seconds: float = np.inf) -> dict[str, Any]:
+    """Figures by name, after ``solves``, or what was done of them within ``seconds``; times of a tenth are of the same problems in each
+    tenth."""
     names = list(MAKE) if name == MIXED else [name]
     runs = [Run(n, solves * PERIOD / len(names) + 10.0) for n in names]
-    times, memory, failures = np.full(solves, np.nan), np.full(100, np.nan), 0
-    start = time.perf_counter()
-    for i in range(solves):
-        one = runs[i % len(runs)]
+    times, memory, failures = np.full(solves, np.nan), np.full(solves // SAMPLE + 1, np.nan), 0
+    start, done = time.perf_counter(), 0
+    while done < solves and time.perf_counter() - start < seconds:
+        if done % SAMPLE == 0:
+            memory[done // SAMPLE] = resident()
+        one = runs[done % len(runs)]
         failures += not one.solve()
-        times[i] = one.mpc.solve_time
-        if i % (solves // 100) == 0:
-            memory[i // (solves // 100)] = resident()
-    tenth = solves // 10
+        times[done], done = one.mpc.solve_time, done + 1
+    times, memory, tenth = times[:done], memory[: (done - 1) // SAMPLE + 1], max(done // 10, 1)
+    memory = memory[len(memory) // 100 + (len(memory) > 1) :]
     # the first hundredth is left out of the growth: buffers and caches come into being
     return {
-        "robot": name, "solves": solves, "intervals": runs[0].mpc.ocp.intervals, "failures": failures,
-        "seconds": time.perf_counter() - start, "memory_first": memory[1], "memory_last": memory[-1],
-        "growth": memory[-1] - memory[1], "median_first": float(np.median(times[:tenth])),
+        "robot": name, "solves": done, "intervals": runs[0].mpc.ocp.intervals, "failures": failures,
+        "seconds": time.perf_counter() - start, "memory_first": memory[0], "memory_last": memory[-1],
+        "growth": memory[-1] - memory[0], "median_first": float(np.median(times[:tenth])),
         "median_last": float(np.median(times[-tenth:])), "median": float(np.median(times)),
-        "p99": float(np.percentile(times, 99)), "max": float(times[len(runs):].max()),
+        "p99": float(np.percentile(times, 99)), "max": float(times[len(runs):].max(initial=0.0)),
         "quickest_first": float(np.percentile(times[:tenth], 10)), "quickest_last": float(np.percentile(times[-tenth:], 10)),
     }  # fmt: skip
 
@@ -139,13 +143,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--robot", nargs="*", default=["rezero", "swerve"], choices=[*MAKE, MIXED])
     parser.add_argument("--solves", type=int, default=100_000)
+    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after so long, whatever is done")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     given = parser.parse_args()
     gc.freeze()
     print(f"{platform.processor() or platform.machine()}, load {os.getloadavg()[0]:.2f} before")
     results = []
     for name in given.robot:
-        r = run(name, given.solves)
+        r = run(name, given.solves, 60.0 * given.minutes)
         results.append(r)
         first, last = 1e3 * r["median_first"], 1e3 * r["median_last"]
         print(

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import wbmpc as wb
+from clearing import keep_clear, reach_problem, write_arm
 from command_line import call
 from effort import draws, thorough
 from exported import LOWER, PERIOD, UPPER, Controller, trolley
@@ -136,6 +137,21 @@ def test_what_cannot_be_is_an_error_and_changes_nothing(pair: tuple[wb.MPC, Cont
     assert made("update", 1.0, x) == Result.NOT_CREATED
 
 
+def test_a_huge_start_does_not_keep_it_from_its_first_plan(done: Export, tmp_path: Path) -> None:
+    """As in Python (tests/mpc/test_first_guess.py), to the last bit; a state that nobody can be in is forgotten."""
+    mpc, made = trolley(), Controller(done, tmp_path)
+    made.create()
+    x, huge = np.array([0.3, 0.0]), np.full(2, 1e200)
+    mpc.reset(huge, huge)
+    assert made("reset", huge, huge) == Result.OK
+    with pytest.raises(RunAborted):
+        mpc.update(wb.Observation(0.0, huge))
+    assert made("update", 0.0, huge) == Result.NO_PLAN
+    for t in (0.0, PERIOD):
+        assert made("update", t, x) == Result.OK
+        _compare(mpc.update(wb.Observation(t, x)), made, t, x)
+
+
 def test_a_copy_of_a_block_goes_on_alone_and_its_front_gives_inputs(done: Export, tmp_path: Path) -> None:
     made, x, u, v = Controller(done, tmp_path), np.array([0.3, 0.1]), np.empty(2), np.empty(2)
     made.create()
@@ -205,6 +221,22 @@ def test_the_check_passes_and_finds_another_controller(done: Export) -> None:
     assert not checks.check(done, other, updates=15).passed
 
 
+def test_rows_that_keep_clear_are_not_left_out_silently(tmp_path: Path) -> None:
+    """Their nearest points come from Python: the exported controller went on as if there were no obstacle."""
+    robot = wb.load_robot(write_arm(tmp_path))
+    ocp = reach_problem(robot)
+    keep_clear(ocp, wb.residuals.SelfClearance(robot, [("foot", "fore")], margin=0.02))
+    with pytest.raises(InputError, match="nearest points are sought in Python"):
+        wb.export(wb.MPC(ocp), tmp_path)
+
+
+class Cautious(wb.MPC):
+    """A subclass that changes what an update is."""
+
+    def update(self, observation: wb.Observation) -> wb.Policy:
+        return super().update(wb.Observation(observation.t, 0.5 * observation.x))
+
+
 def test_errors_name_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mpc = trolley()
     for options, text in (
@@ -219,6 +251,13 @@ def test_errors_name_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     mpc.guess = lambda t, x0, trajectory: None
     with pytest.raises(InputError, match=r"the MPC's guess \(function\) is Python and cannot be exported"):
         wb.export(mpc, tmp_path)
+    own, mpc.guess = trolley(), None
+    own.recover = lambda *_: None  # type: ignore[method-assign]
+    for changed, name in ((Cautious(mpc.ocp), "update"), (own, "recover")):
+        with pytest.raises(
+            InputError, match=rf"(Cautious|MPC) has a '{name}' of its own, which is Python and cannot be exported"
+        ):
+            wb.export(changed, tmp_path)
     interpreted = wb.MPC(mpc.ocp, wb.SQP.real_time(backend="interpreted"))
     with pytest.raises(InputError, match="this problem runs in CasADi's interpreter"):
         wb.export(interpreted, tmp_path)

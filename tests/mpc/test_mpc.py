@@ -108,9 +108,10 @@ def test_failed_solve_keeps_the_last_policy() -> None:
 
 
 def test_failing_from_the_start_is_an_abort() -> None:
+    """From the guess and from the state held: nobody can be in such a state."""
     mpc = make(Poison(0.0))
     with pytest.raises(RunAborted, match=r"first solve failed: .* not finite \(the dynamics at node 0\)"):
-        mpc.update(Observation(0.0, START))
+        mpc.update(Observation(0.0, np.full_like(START, 1e200)))
 
 
 def test_a_guess_that_writes_into_its_state_changes_nothing_else() -> None:

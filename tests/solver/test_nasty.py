@@ -335,13 +335,11 @@ def test_second_derivatives_without_a_value_name_the_term() -> None:
     assert found.status is Status.NOT_FINITE and "term 'power' at node 0" in found.detail
 
 
-def test_dry_friction_names_the_motion_that_no_step_can_follow() -> None:
-    """ẍ = u − 5 sign(ẋ): the linearization at rest knows nothing of it."""
+def test_dry_friction_ends_with_a_motion_that_no_step_improves() -> None:
+    """ẍ = u − 5 sign(ẋ): the linearization at rest knows nothing of it. A roll-out of the policy is a motion all the same."""
     dry = ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u[0] - 5 * ca.sign(x[1])))
     found = solve(cart(dynamics=dry), SQP())
-    # no step can, but a motion may
-    assert found.status is Status.LINE_SEARCH_FAILED
-    assert "the start is not reached: 'x.0' by 1" in found.detail
+    assert found.status is Status.LINE_SEARCH_FAILED and found.violation < 1e-9
     assert (
         "the interval of 0.05 s at node 0 is too long for the integrator" in found.detail
     )  # friction is infinitely stiff

@@ -175,10 +175,23 @@ def _tables(mpc: MPC, samples: int, modes: list[Mode]) -> Tables:
     return tables
 
 
+def _overridden(mpc: MPC) -> str:
+    """What of :class:`MPC` a subclass, or this object, does in its own way; empty for none. The package's own subclasses convert
+    states of another kind; of the problem's states they make the problem's plans."""
+    own: list[str] = [name for name in vars(mpc) if callable(vars(mpc)[name])]
+    for kind in type(mpc).__mro__[: type(mpc).__mro__.index(MPC)]:
+        own += [name for name in vars(kind) if not kind.__module__.startswith("wbmpc.")]
+    return next((name for name in own if not name.startswith("__") and hasattr(MPC, name)), "")
+
+
 def check_exportable(mpc: object) -> None:
     """Raise :class:`InputError` naming what of an MPC runs in Python alone."""
     if not isinstance(mpc, MPC):
         raise InputError(f"export: an MPC is needed, got {type(mpc).__name__}")
+    if changed := _overridden(mpc):
+        raise InputError(
+            f"export: {type(mpc).__name__} has a '{changed}' of its own, which is Python and cannot be exported; valid: wbmpc.MPC itself"
+        )
     if mpc.guess is not None:
         raise InputError(
             f"export: the MPC's guess ({type(mpc.guess).__name__}) is Python and cannot be exported; valid: mpc.guess = None"
@@ -186,6 +199,10 @@ def check_exportable(mpc: object) -> None:
     if mpc.path.active:
         raise InputError(
             "export: paths are expanded in Python before every solve; valid: problems without wbmpc.WithPath"
+        )
+    if mpc._clear.active:
+        raise InputError(
+            "export: nearest points are sought in Python before every solve; valid: problems without Clearance and SelfClearance"
         )
     if mpc.solver.kernel is None:
         raise InputError(

@@ -31,6 +31,10 @@ class PlanCheck:
         """Why the last pass, which ended with a status ``code``, gave no plan; empty if it did."""
         return self._not_finite_part(code) or self._rejection(code)
 
+    def broken(self, code: int) -> bool:
+        """Whether the last pass ended with numbers that are not finite or beyond all bounds."""
+        return bool(self._not_finite_part(code))
+
     def fault(self, t: float, code: int) -> str:
         """The same of a pass at ``t`` [s] that counts; the first of a row of them is logged."""
         broken = self._not_finite_part(code)

@@ -37,7 +37,8 @@ _USABLE = 1
 
 
 class MPC(Described):
-    """Receding-horizon control: solves one problem repeatedly, starting from the shifted last solution.
+    """Receding-horizon control: solves one problem repeatedly, starting from the shifted last solution, where there is none from the state held
+    if what :meth:`reset` or the guess gave leads beyond all bounds.
 
     ``ocp``: the problem. ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); default: one iteration. ``rate``
     [Hz] of updates. ``first_iterations``: number of solver calls for the first plan, each with the iterations of ``solver``.
@@ -91,6 +92,7 @@ class MPC(Described):
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
         self._reported = False
+        self._held = False  # whether a pass starts from the state held instead of the guess
         self._lines = RateLimit()
         self._plan_check = PlanCheck(self.solver, self._lines)
 
@@ -237,17 +239,30 @@ class MPC(Described):
         delta = 0.0 if self._t is None else observation.t - self._t
         x0 = np.ascontiguousarray(self.path.wide(observation.x, delta), float)
         passes = self.first_iterations if self._t is None else 1
-        if self._follow_last:
-            self._continue_from(observation.t, delta)
-        self._iterations = 0
-        if self._clear.active:
-            self._solve_clear(observation.t, x0, delta, passes)
-        else:
-            self._solve(observation.t, x0, delta, passes)
+        self._iterations, start = 0, (observation.t, x0, delta, passes)
+        self._pass(*start)
+        if self._t is None and self._plan_check.broken(
+            self._outcome[0]
+        ):  # what it started from may be beyond all bounds
+            restart_from(self.solver, x0)
+            self._held = True
+            try:
+                self._pass(*start)
+            finally:
+                self._held = False
         self._t = observation.t
         self._count_events(observation.t)
         self.fault = self._plan_check.fault(observation.t, self._outcome[0])
         return not self.fault
+
+    def _pass(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
+        """``passes`` calls of the solver; a plan that stops is the result where no other is clear of obstacles."""
+        if self._follow_last:
+            self._continue_from(t, delta)
+        if self._clear.active:
+            self._solve_clear(t, x0, delta, passes)
+        else:
+            self._solve(t, x0, delta, passes)
 
     def _solve(self, t: float, x0: np.ndarray, delta: float, passes: int) -> None:
         """``passes`` calls of the solver, the first one from the last plan, ``delta`` [s] old, or what the guess makes of it."""
@@ -284,7 +299,7 @@ class MPC(Described):
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""
-        if self._guess is None:
+        if self._guess is None or self._held:
             return
         with self.solver.exclusive.lent():
             found = self._guess(t, x0.copy(), self.solver.trajectory(start))
@@ -366,6 +381,9 @@ class MPC(Described):
         last = self._policy
         if last is None:
             found = self.solver._certified(*self._outcome)
+            if self._plan_check.broken(self._outcome[0]):
+                restart_from(self.solver, self.path.wide(observation.x))
+                self._t = None
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
         self._recover(observation, last.x, last.u, float(last.times[0]))

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
-from wbmpc.ocp.constraint_classification import row_names
+from wbmpc.ocp.constraint_classification import Kind, row_names
+from wbmpc.solver.memory_layout import StateField
 
 #: What messages call the model.
 DYNAMICS = "the dynamics"
@@ -157,9 +158,37 @@ def largest_variable(problem: Transcription, ws: Any) -> str:
 
 def largest_step(problem: Transcription, ws: Any) -> str:
     """The state or input that the last step was to change most, with its node; empty for the interpreted twin."""
-    if not hasattr(ws, "dx"):
+    if not hasattr(ws, "dx") or not np.isfinite(ws.dx).all():
         return ""
     return _largest(problem, ws.dx[:, : problem.nx], ws.du, "by {:.3g}")
+
+
+def largest_of_rows(problem: Transcription, values: np.ndarray) -> tuple[float, str]:
+    """The largest of numbers (N + 1, rows) of rows with a state of their own, and of which row at which node; (0, "") without any."""
+    found = [
+        (float(values[k, j]), f"{row.name} at node {k}")
+        for k in range(len(values))
+        for j, row in enumerate((problem.path if k < len(values) - 1 else problem.end).rows)
+        if row.kind is Kind.HARD and not (k == 0 and row.state_only)
+    ]
+    return max(found, default=(0.0, ""))
+
+
+def unsettled(problem: Transcription, ws: Any) -> str:
+    """The slack of a hard limit that differs most from the limit's value, and by how much slacks cut the last step; empty for none."""
+    if not hasattr(ws, "rows_t"):
+        return ""
+    with np.errstate(invalid="ignore"):
+        off, where = largest_of_rows(problem, np.nan_to_num(np.abs(ws.rows_h + ws.rows_s - ws.rows_t)))
+    cut = float(ws.state[StateField.MAX_PRIMAL_STEP])
+    return f"the slack of {where} is off by {off:.3g} of its range, and slacks cut steps to {cut:.2g}" if off else ""
+
+
+def beyond_rounding(problem: Transcription, ws: Any) -> str:
+    """What to say where no shift of the Hessian makes a subproblem convex."""
+    size, where = largest_of_rows(problem, np.abs(ws.rows_l)) if hasattr(ws, "rows_l") else (0.0, "")
+    most = f": the largest multiplier, of {where}, is {size:.2g}" if where else ""
+    return f"the step: no shift of the Hessian makes the subproblem convex{most}"
 
 
 def _largest(problem: Transcription, x: np.ndarray, u: np.ndarray, form: str) -> str:

@@ -196,14 +196,34 @@ def iterate(c: Loop, count: Integers, x: Floats, t: float, first: int, period: f
     delta = t - value[Value.START] if started else 0.0
     if c.follow[0] > 0:
         follow_last(m, o, numbers, integers, c.follow, t, max(delta, period), delta)
-    status, total = 0, 0
+    status = 0
     for k in range(1 if started else first):
         status, done = receding_solve(m, o, numbers, integers, t, delta if k == 0 else 0.0, x, c.settings, c.log)
-        total += done
-    count[Count.STATUS], count[Count.ITERATIONS], count[Count.STARTED], value[Value.START] = status, total, 1, t
+        count[Count.ITERATIONS] += done
+    count[Count.STATUS] = status
     n, nx, nu = o[N], o[NX], o[NU]
     known = finite(m, o[X], (n + 1) * nx) and finite(m, o[U], n * nu) and finite(m, o[K], n * nu * o[LX])
     return known and status != NOT_FINITE and status != DIVERGED
+
+
+@compiled
+def restart(c: Loop, x: Floats, room: Floats) -> None:
+    """The next solve starts from the state held, without inputs."""
+    for i in range(c.o[NU]):
+        room[i] = 0.0
+    start_from(c.m, c.o, x, room, True)
+
+
+@compiled
+def find_plan(c: Loop, count: Integers, x: Floats, room: Floats, t: float, first: int, period: float) -> bool:
+    """As :func:`iterate`; a first plan once more from the state held, where what it started from led beyond all bounds."""
+    count[Count.ITERATIONS] = 0
+    known = iterate(c, count, x, t, first, period)
+    if not known and count[Count.STARTED] == 0:
+        restart(c, x, room)
+        known = iterate(c, count, x, t, first, period)
+    count[Count.STARTED], c.value[Value.START] = 1, t
+    return known
 
 
 @compiled
@@ -212,12 +232,13 @@ def fall_back(c: Loop, plan: Plan, count: Integers, x: Floats, room: Floats) -> 
     m, o = c.m, c.o
     count[Count.FAILURES] += 1
     if count[Count.PLANNED] == 0:
+        if count[Count.BROKEN] > 0:
+            restart(c, x, room)
+            count[Count.STARTED] = 0
         return Result.NO_PLAN
     after = recovery(count[Count.STATUS], count[Count.BROKEN], count[Count.FAULTS])
     if after == RESTART:
-        for i in range(o[NU]):
-            room[i] = 0.0
-        start_from(m, o, x, room, True)
+        restart(c, x, room)
         count[Count.STARTED] = 0
     elif after == RESUME:
         start_from(m, o, plan.states, plan.inputs, False)
@@ -247,7 +268,7 @@ def update(
     for i in range(o[NX]):
         start[i] = x[i]
     count[Count.UPDATES] += 1
-    known = iterate(c, count, start, t, first, period)
+    known = find_plan(c, count, start, room, t, first, period)
     status = count[Count.STATUS]
     count[Count.BROKEN] = 0 if known else count[Count.BROKEN] + 1
     usable = known and status != INPUT_INFEASIBLE and status != EQUALITY_INFEASIBLE

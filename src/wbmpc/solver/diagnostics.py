@@ -36,7 +36,7 @@ def diagnose(solver: Solver, solution: Solution) -> Solution:
         solution = replace(solution, kkt=np.nan)
         detail = _not_finite(solver)
         if detail or _violation(solver, solution, missed)[-1] < solver.settings.feasibility:
-            return replace(solution, detail=detail or "the step: the costs leave an input without curvature")
+            return replace(solution, detail=detail or _no_curvature(solver))
         solution = replace(
             solution, status=Status.INFEASIBLE
         )  # the iterate is finite, the step to the constraints is not
@@ -59,6 +59,12 @@ def _not_finite(solver: Solver) -> str:
     found = certificate.not_finite(solver.problem, solver.ws)
     free = certificate.unweighted_inputs(solver.problem)
     return f"{found or 'the step'}; no term depends on input '{free[0]}'" if free else found
+
+
+def _no_curvature(solver: Solver) -> str:
+    if solver.settings.max_regularization > 0.0:
+        return certificate.beyond_rounding(solver.problem, solver.ws)
+    return "the step: the costs leave an input without curvature"
 
 
 def _can_contradict(problem: Transcription) -> bool:
@@ -127,10 +133,14 @@ def _unfinished(solver: Solver, solution: Solution, missed: Violation | None, en
     unmet = _unmet(solver, solution, missed)
     if not missed and unmet[-1] <= feasibility:
         step = certificate.largest_step(problem, ws)
-        return status, f"largest step: {step}" if step and solver.settings.compute_kkt else ""
+        convex = not hasattr(ws, "dx") or bool(np.isfinite(ws.dx).all())
+        said = f"largest step: {step}" if convex else "the last subproblem is not convex"
+        return status, said if (step or not convex) and solver.settings.compute_kkt else ""
     gap, where = certificate.largest_gap(problem, ws, solver.x0)
     if not missed and gap <= feasibility:
-        return status, "the last step met the constraints, but nothing has settled"
+        return status, certificate.unsettled(
+            problem, ws
+        ) or "the last step met the constraints, but nothing has settled"
     held_up = (
         not missed and (problem.softness > 0.0).any()
     )  # by soft equalities: the merit has them among the violations

@@ -15,7 +15,7 @@ from wbmpc.solver.inequalities import (
     take_rows,
 )
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
-from wbmpc.solver.line_search import longest_step, roll_out, search, take, trial
+from wbmpc.solver.line_search import compare_with_last, longest_step, roll_out, search, take, trial
 from wbmpc.solver.memory_layout import (
     LIMIT_TOLERANCE,
     NG,
@@ -217,18 +217,27 @@ def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
 
 @compiled
 def update_merit(
-    found: tuple[float, float, float, float], optimality: tuple[float, float], penalty: float, first: float
+    m: Floats,
+    o: Integers,
+    found: tuple[float, float, float, float],
+    optimality: tuple[float, float],
+    penalty: float,
+    first: float,
 ) -> tuple[float, float]:
     """(Weight of the violation in the merit, first step length to try) from those before.
 
-    ``found``: cost, slope, curvature, drop of the violation; ``optimality``: KKT residual, and that of the iteration before."""
+    ``found``: cost, slope, curvature, drop of the violation; ``optimality``: KKT residual, that of the iteration before (NaN: unknown)."""
     cost, slope, curvature, drop = found
     kkt, last_kkt = optimality
+    along = 0.0
+    if np.isfinite(kkt):  # else longest_step compares them
+        along, _ = compare_with_last(m, o)
     if drop > 1e-10:
         penalty = max(penalty, 2.0 * (slope + 0.5 * curvature) / drop)
-    # Where differences of the cost are lost in rounding, the KKT residual shows that Gauss-Newton overshoots.
+    # Where differences of the cost are lost in rounding, a KKT residual that grows while the direction turns back shows that
+    # Gauss-Newton overshoots. Where the direction goes on, the curvature along it is negative, as beside a saddle.
     invisible = abs(slope) + penalty * drop < 1e-5 * (1.0 + abs(cost))
-    first = max(0.5 * first, 0.01) if kkt > last_kkt and invisible else min(1.3 * first, 1.0)
+    first = max(0.5 * first, 0.01) if kkt > last_kkt and invisible and along < 0.0 else min(1.3 * first, 1.0)
     return penalty, first
 
 
@@ -344,7 +353,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
             limit, other = max(limit, it + 1), True
             continue
         drop = violation - m[state + StateField.REMAINING_VIOLATION]
-        penalty, first = update_merit((cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
+        penalty, first = update_merit(m, o, (cost, slope, curvature, drop), (kkt, last_kkt), penalty, first)
         last_kkt = kkt
         if s[Setting.COMPUTE_KKT] == 0.0:
             first = longest_step(m, o, other)
@@ -359,6 +368,8 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         other = changed > 0.0
         if other:
             last_kkt = np.inf
+            if s[Setting.COMPUTE_KKT] > 0.0 and s[Setting.SINGLE_SHOOTING] == 0.0:
+                penalty *= THRESHOLDS.kept_weight
         if hold > 0.0:
             m[state + StateField.HOLD_INPUTS] = hold
         if it == limit:

@@ -1,15 +1,17 @@
 """Compiled code of the exact Hessian of the Lagrangian: what the Gauss-Newton Hessian leaves out.
 
 With the midpoint rule x⁺ = x + h f(x₂, u), x₂ = x + h/2 f(x, u), costate λ of x⁺ and M = ∂(x₂, u)/∂(x, u):
-∇²(λᵀ x⁺) = Mᵀ ∇²(h λᵀ f)(x₂, u) M + ∇²(aᵀ f)(x, u), a = h²/2 f_xᵀ(x₂) λ. Costates and equality multipliers are those of
-least squares at the iterate: Dᵀ ν = −(∇_u cost + Bᵀ λ) (Nocedal and Wright 2006, section 18.3).
+∇²(λᵀ x⁺) = Mᵀ ∇²(h λᵀ f)(x₂, u) M + ∇²(aᵀ f)(x, u), a = h²/2 f_xᵀ(x₂) λ. The classic rule has four such terms: stage i has the
+adjoint aᵢ = wᵢ h λ + cᵢ₊₁ f_xᵀ(xᵢ₊₁) aᵢ₊₁ and Mᵢ = [I + cᵢ Tᵢ₋₁; I by u], T of the sensitivities (docs/explanation/solver.md).
+Costates and equality multipliers are those of least squares at the iterate: Dᵀ ν = −(∇_u cost + Bᵀ λ) (Nocedal and Wright 2006,
+section 18.3).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import Floats, Integers, call2, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, call2, compiled
 from wbmpc.solver.inequality_table import HARD, MULTIPLIER, counts, entry, kind_of, node_rows, row_penalty
 from wbmpc.solver.memory_layout import (
     AB,
@@ -24,6 +26,13 @@ from wbmpc.solver.memory_layout import (
     J1,
     J2,
     LAGRANGIAN,
+    LANE_F,
+    LANE_J1,
+    LANE_J2,
+    LANE_J3,
+    LANE_J4,
+    LANE_S1,
+    LANE_S2,
     LX,
     LZ,
     NG,
@@ -33,6 +42,7 @@ from wbmpc.solver.memory_layout import (
     NU_ROWS,
     NX,
     RES,
+    RK4,
     ROW_H,
     ROW_J,
     ROW_L,
@@ -51,7 +61,7 @@ from wbmpc.solver.memory_layout import (
     W,
     X,
 )
-from wbmpc.solver.stages import row_index
+from wbmpc.solver.stages import offset_state, row_index
 
 
 @compiled
@@ -216,31 +226,82 @@ def clear_second(m: Floats, o: Integers) -> None:
 
 
 @compiled
+def take_lane(m: Floats, source: int, lane: int, count: int, out: int) -> None:
+    """``count`` numbers of one of eight nodes that are side by side."""
+    for i in range(count):
+        m[out + i] = m[source + LANES * i + lane]
+
+
+@compiled
+def move_adjoint(m: Floats, o: Integers, share: float, c: float) -> None:
+    """The adjoint of a stage from that of the next one: share λ + c f_xᵀ a, f_x in ``j2``."""
+    costate, adjoint, before = o[ADJOINT], o[ADJOINT] + o[LX], o[ADJOINT] + 2 * o[LX]
+    for i in range(o[NX]):
+        m[before + i] = share * m[costate + i]
+    for r in range(o[NX]):
+        for i in range(o[NX]):
+            m[before + i] += c * m[o[J2] + r * o[LZ] + i] * m[adjoint + r]
+    for i in range(o[NX]):
+        m[adjoint + i] = m[before + i]
+
+
+@compiled
+def exact_classic(m: Floats, o: Integers, k: int, matrix: int, h: float) -> None:
+    """Second derivatives of a step of the classic Runge-Kutta rule, from its last stage to the first; node k is in its lane."""
+    nx, lx, lane, size = o[NX], o[LX], k % LANES, o[NX] * o[LZ]
+    x, u, p = o[X] + k * nx, o[U] + k * o[NU], o[P] + k * o[NP]
+    costate, adjoint, middle = o[ADJOINT], o[ADJOINT] + lx, o[SLOPES] + 4 * lx
+    for i in range(nx):
+        m[adjoint + i] = h / 6.0 * m[costate + i]
+    for s in range(3, 0, -1):
+        c = h if s == 3 else 0.5 * h
+        take_lane(m, o[LANE_F] + LANES * nx * (s - 1), lane, nx, o[SLOPES])
+        offset_state(m, o, middle, x, o[SLOPES], c)
+        before = o[LANE_J1] if s == 1 else (o[LANE_S1] if s == 2 else o[LANE_S2])
+        own = o[LANE_J2] if s == 1 else (o[LANE_J3] if s == 2 else o[LANE_J4])
+        take_lane(m, before, lane, size, o[J1])
+        take_lane(m, own, lane, size, o[J2])
+        clear_second(m, o)
+        stage_with(o, DYNAMICS_H, middle, u, p, adjoint, adjoint, o[SECOND])
+        add_chained(m, o, matrix, c)
+        move_adjoint(m, o, h / 6.0 if s == 1 else h / 3.0, c)
+    clear_second(m, o)
+    stage_with(o, DYNAMICS_H, x, u, p, adjoint, adjoint, o[SECOND])
+    add_second(m, o, matrix, o[LZ])
+
+
+@compiled
+def exact_midpoint(m: Floats, o: Integers, k: int, matrix: int, h: float) -> None:
+    """Second derivatives of a step of the midpoint rule, after :func:`wbmpc.solver.simd_batch.single_lane`."""
+    nx, lx = o[NX], o[LX]
+    x, u, p = o[X] + k * nx, o[U] + k * o[NU], o[P] + k * o[NP]
+    costate, adjoint = o[ADJOINT], o[ADJOINT] + lx
+    for i in range(nx):
+        m[adjoint + i] = h * m[costate + i]
+    clear_second(m, o)
+    stage_with(o, DYNAMICS_H, o[SLOPES] + 4 * lx, u, p, adjoint, adjoint, o[SECOND])
+    add_chained(m, o, matrix, 0.5 * h)
+    move_adjoint(m, o, 0.0, 0.5 * h)
+    clear_second(m, o)
+    stage_with(o, DYNAMICS_H, x, u, p, adjoint, adjoint, o[SECOND])
+    add_second(m, o, matrix, o[LZ])
+
+
+@compiled
 def exact_node(m: Floats, o: Integers, k: int, matrix: int, rows: int) -> None:
     """Second derivatives of node k onto its Hessian, after its linearization; the costate moves to node k. ``rows``: where
     the node's equality rows are."""
-    nx, nu, lx, lz = o[NX], o[NU], o[LX], o[LZ]
     h = m[o[GRID] + k + 1] - m[o[GRID] + k]
-    x, u, p = o[X] + k * nx, o[U] + k * nu, o[P] + k * o[NP]
-    costate, scaled, previous = o[ADJOINT], o[ADJOINT] + lx, o[ADJOINT] + 2 * lx
-    for i in range(nx):
-        m[scaled + i] = h * m[costate + i]
-    for i in range(nx):
-        m[previous + i] = 0.0
-    for r in range(nx):
-        for i in range(nx):
-            m[previous + i] += 0.5 * h * m[o[J2] + r * lz + i] * m[scaled + r]
+    x, u, p = o[X] + k * o[NX], o[U] + k * o[NU], o[P] + k * o[NP]
     m[o[SMALL] + 2] = h
-    clear_second(m, o)
-    stage_with(o, DYNAMICS_H, o[SLOPES] + 4 * lx, u, p, scaled, scaled, o[SECOND])
-    add_chained(m, o, matrix, 0.5 * h)
-    clear_second(m, o)
-    stage_with(o, DYNAMICS_H, x, u, p, previous, previous, o[SECOND])
-    add_second(m, o, matrix, lz)
+    if o[RK4] > 0:
+        exact_classic(m, o, k, matrix, h)
+    else:
+        exact_midpoint(m, o, k, matrix, h)
     costate_node(m, o, k, rows)
     clear_second(m, o)
     stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
-    add_second(m, o, matrix, lz)
+    add_second(m, o, matrix, o[LZ])
 
 
 @compiled

@@ -24,7 +24,6 @@ _LOG = logging.getLogger("wbmpc")
 def _obstacles(ocp: OptimalControlProblem, settings: SQP) -> list[str]:
     """What keeps a problem from an exact Hessian."""
     found = {
-        f"integrator='{ocp.integrator}'": ocp.integrator != "rk2",
         "a state that jumps at events": getattr(ocp.dynamics, "jump", None) is not None,
         "quaternions": bool(ocp.dynamics.unit_quaternions),
         "backend='interpreted'": settings.backend != "compiled",

@@ -218,16 +218,24 @@ def next_longest(longest: float, last: float, along: float) -> float:
 
 
 @compiled
+def compare_with_last(m: Floats, o: Integers) -> tuple[float, float]:
+    """(Product of the new direction with that of the iteration before, square of the latter); the new one is kept."""
+    along, size = 0.0, 0.0
+    for i in range(o[N] * o[NU]):
+        new, old = m[o[DU] + i], m[o[DU_LAST] + i]
+        along, size = along + new * old, size + old * old
+        m[o[DU_LAST] + i] = new
+    return along, size
+
+
+@compiled
 def longest_step(m: Floats, o: Integers, first: bool) -> float:
     """Longest step to try, from how the direction has turned since the last iteration of the same solve; keeps the direction.
 
     ``first``: this is the solve's first one, or μ is another one. Between solves the measured state has changed too, so nothing can be
     reported."""
-    state, along, size = o[STATE], 0.0, 0.0
-    for i in range(o[N] * o[NU]):
-        new, old = m[o[DU] + i], m[o[DU_LAST] + i]
-        along, size = along + new * old, size + old * old
-        m[o[DU_LAST] + i] = new
+    state = o[STATE]
+    along, size = compare_with_last(m, o)
     if m[state + StateField.MAX_STEP] == 0.0:
         m[state + StateField.MAX_STEP] = 1.0
     elif first:
@@ -244,9 +252,13 @@ def search(
     m: Floats, o: Integers, x0: Floats, s: Floats, base: tuple[float, float, float, float], penalty: float, first: float
 ) -> tuple[float, float]:
     """Step length from ``first`` down, 0 when none is accepted; the trial point is filled. ``base``: cost, violation,
-    slope, drop. Returns (α, cost at the trial point)."""
+    slope, drop. Returns (α, cost at the trial point).
+
+    A first step that opens gaps more than it closes violations is tried again as a motion, by the policy: its gaps are closed, as by a
+    second-order correction (Nocedal and Wright 2006, sections 15.5 and 15.6)."""
     cost, violation, slope, drop = base
     reach, single, ratio = m[o[STATE] + StateField.MAX_PRIMAL_STEP], s[Setting.SINGLE_SHOOTING] > 0.0, first
+    corrects = s[Setting.COMPUTE_KKT] > 0.0 and not single and s[Setting.USE_FILTER] == 0.0
     while ratio >= s[Setting.MIN_STEP]:
         alpha = ratio * reach
         c, v = trial(m, o, x0, alpha, single)
@@ -255,6 +267,10 @@ def search(
                 return alpha, c
         elif accept(c, v, cost, violation, slope, drop, penalty, alpha):
             return alpha, c
+        if corrects and ratio == first and v > violation:
+            c, v = trial(m, o, x0, alpha, True)
+            if accept(c, v, cost, violation, slope, drop, penalty, alpha):
+                return alpha, c
         ratio *= 0.5
     if s[Setting.ACCEPT_MIN_STEP] > 0.0:
         c, v = trial(m, o, x0, first * reach, single)

@@ -36,7 +36,8 @@ ADJOINT, NU_ROWS, SIGNED = (_block[n] for n in ("adjoint", "multiplier", "signed
 PULLED, ROW_TRIAL, LANES_OUT = (_block[n] for n in ("pulled", "row_trial", "lanes"))
 NORMAL, SECOND, CHAINED = (_block[n] for n in ("normal", "second", "chained"))
 LANE_X, LANE_NEXT, LANE_U, LANE_P, LANE_SMALL = (_block[f"lane_{n}"] for n in ("x", "next", "u", "p", "small"))
-LANE_F, LANE_J1, LANE_J2, LANE_S1, LANE_S2 = (_block[f"lane_{n}"] for n in ("f", "j1", "j2", "s1", "s2"))
+LANE_F, LANE_S1, LANE_S2, LANE_S3 = (_block[f"lane_{n}"] for n in ("f", "s1", "s2", "s3"))
+LANE_J1, LANE_J2, LANE_J3, LANE_J4 = (_block[f"lane_j{n}"] for n in (1, 2, 3, 4))
 LANE_BARRIER = _block["lane_barrier"]
 LANE_AB, LANE_MATRIX, LANE_E, LANE_ROWS, LANE_VALUES = (
     _block[f"lane_{n}"] for n in ("ab", "matrix", "equalities", "rows", "values")

@@ -78,19 +78,24 @@ class InterpretedLineSearch(InterpretedDirections):
             state[StateField.UNRELAXED_VIOLATION], by[rows.l < GIVES_WAY * rows.penalty].max(initial=0.0)
         )
 
+    def _compare_with_last(self, du: np.ndarray) -> tuple[float, float]:
+        """As compare_with_last of the compiled solver."""
+        last, self.last_du = self.last_du, du
+        return float(np.sum(du * last)), float(np.sum(last * last))
+
     def _longest_step(self, du: np.ndarray, first: bool) -> float:
         """As longest_step of the compiled solver."""
         from wbmpc.solver.line_search import next_longest
 
-        state, last, self.last_du = self.ws.state, self.last_du, du
-        size = float(np.sum(last * last))
+        state = self.ws.state
+        along, size = self._compare_with_last(du)
         if state[StateField.MAX_STEP] == 0.0:
             state[StateField.MAX_STEP] = 1.0
         elif first:
             state[StateField.MAX_STEP] = min(1.1 * state[StateField.MAX_STEP], 1.0)
         elif size > 0.0:
             state[StateField.MAX_STEP] = next_longest.python(
-                state[StateField.MAX_STEP], state[StateField.LAST_STEP], float(np.sum(du * last)) / size
+                state[StateField.MAX_STEP], state[StateField.LAST_STEP], along / size
             )
         return float(state[StateField.MAX_STEP])
 
@@ -109,20 +114,32 @@ class InterpretedLineSearch(InterpretedDirections):
 
         single, ratio = bool(c.single_shooting), first
         while ratio >= c.min_step or c.accept_min_step:
-            alpha = (ratio if ratio >= c.min_step else first) * reach
-            x, u = self._trial(s, alpha, x0, single)
-            merit = self._merit(x, u, x0, alpha)
             forced = ratio < c.min_step
-            good = np.isfinite(merit).all() if forced else accept.python(merit[0], merit[1], *base, penalty, alpha)
+            alpha = (first if forced else ratio) * reach
+            merit = self._try(s, alpha, x0, single)
+            good = np.isfinite(merit).all() if forced else accept.python(*merit, *base, penalty, alpha)
+            if not (good or single or forced) and c.compute_kkt and ratio == first and merit[1] > base[1]:
+                merit = self._try(s, alpha, x0, True)
+                good = accept.python(*merit, *base, penalty, alpha)
             if good:
-                paid, apart, of_soft = self._soft_equality_terms(x, u, alpha)
-                cost = merit[0] - self._row_cost(x, u, alpha) - paid
-                self.ws.state[[StateField.COST, StateField.VIOLATION]] = cost, merit[1] + of_soft - apart
-                self.ws.x[:], self.ws.u[:] = x, u
-                for row in self.ws.x:
-                    self._normalize(row)
+                self._take(merit, alpha)
                 return float(alpha)
             if forced:
                 break
             ratio *= 0.5
         return 0.0
+
+    def _try(self, s: dict[str, Any], alpha: float, x0: np.ndarray, single: bool) -> tuple[float, float]:
+        """(Cost, violation) of a trial point, which is kept."""
+        self.tried = self._trial(s, alpha, x0, single)
+        return self._merit(*self.tried, x0, alpha)
+
+    def _take(self, merit: tuple[float, float], alpha: float) -> None:
+        """The last trial point becomes the iterate."""
+        x, u = self.tried
+        paid, apart, of_soft = self._soft_equality_terms(x, u, alpha)
+        cost = merit[0] - self._row_cost(x, u, alpha) - paid
+        self.ws.state[[StateField.COST, StateField.VIOLATION]] = cost, merit[1] + of_soft - apart
+        self.ws.x[:], self.ws.u[:] = x, u
+        for row in self.ws.x:
+            self._normalize(row)

@@ -267,7 +267,8 @@ class InterpretedSolver(InterpretedLineSearch):
             curvature = s["curvature"] if c.compute_kkt else 0.0  # the compiled solver has it only then
             run.penalty = max(run.penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
         invisible = abs(s["slope"]) + run.penalty * drop < 1e-5 * (1.0 + abs(cost))
-        run.first = max(0.5 * run.first, 0.01) if kkt > run.last_kkt and invisible else min(1.3 * run.first, 1.0)
+        overshoots = c.compute_kkt and self._compare_with_last(s["du"])[0] < 0.0 and kkt > run.last_kkt and invisible
+        run.first = max(0.5 * run.first, 0.01) if overshoots else min(1.3 * run.first, 1.0)
         run.last_kkt = kkt
         if not c.compute_kkt:
             run.first = self._longest_step(s["du"], run.other)
@@ -288,7 +289,7 @@ class InterpretedSolver(InterpretedLineSearch):
         self.soft_residual += alpha * self.soft_step
         for rows in self.own:
             rows.take(alpha, dual, solved)
-        run.other = False
+        run.other, changed = False, False
         if not self.has_rows:
             return
         after = next_mu.python(self.mu, run.level, error, product)
@@ -303,15 +304,18 @@ class InterpretedSolver(InterpretedLineSearch):
             after = min(c.max_barrier, max(after, 10.0 * self.mu))
         if c.compute_kkt and (solved or alpha > 0.9):
             if residual > c.feasibility and residual > 0.25 * run.last_residual:
-                run.last_kkt = np.inf
+                changed = True
                 for r in self.own:
                     r.rho = min(4.0 * r.rho, 1e6)
             run.last_residual = residual
         run.other = after != self.mu
         if run.other:
-            if not (adapts and abs(after - self.mu) < 0.1 * kkt):
-                run.last_kkt = np.inf
+            changed = changed or not (adapts and abs(after - self.mu) < 0.1 * kkt)
             self.mu = after
+        if changed:
+            run.last_kkt = np.inf
+            if c.compute_kkt and not c.single_shooting:
+                run.penalty *= THRESHOLDS.kept_weight
 
     def _one_more(self, c: Any, alpha: float, run: _Progress) -> None:
         """Whether there is another iteration after what was to be the last one."""

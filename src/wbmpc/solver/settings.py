@@ -21,7 +21,8 @@ class Thresholds:
     as it falls for that; ``max_barrier``: as far as it rises where slacks cut steps to less than a tenth. ``jammed``: steps that slacks
     cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``). ``raised``: in real time
     the barrier parameter rises by at most this factor where slacks cut steps to less than a tenth, and to at most ``slack_share`` of
-    the weight of any slack, so that plans hardly use these.
+    the weight of any slack, so that plans hardly use these. ``kept_weight``: the share of the violation's weight in the merit that is
+    kept when μ or ρ changes: with weights found far away from a solution later steps would only creep along the constraints.
     """
 
     divergence: float = 1e10
@@ -33,6 +34,7 @@ class Thresholds:
     jammed: float = 0.25
     raised: float = 3e4
     slack_share: float = 1e-3
+    kept_weight: float = 0.1
 
 
 THRESHOLDS = Thresholds()
@@ -130,7 +132,7 @@ class SQP:
     ``compute_kkt`` only); ``min_step``: the line search gives up below it, and then takes the full step if
     ``accept_min_step``; ``line_search``: an ℓ1 merit with Armijo's rule, or a filter; ``max_regularization``: of the Hessian's diagonal
     (Levenberg-Marquardt), grown when a step fails or the subproblem is not convex; ``hessian``: "exact" has the second
-    derivatives of everything, as far as the subproblem stays convex ("rk2" without jumps and quaternions, compiled only); "auto"
+    derivatives of everything, as far as the subproblem stays convex (without jumps and quaternions, compiled only); "auto"
     begins with "gauss_newton", and where that would not converge within the iterations left, :meth:`Solver.solve` compiles the exact
     one and goes on with it;
     ``equality_bound``: in real time a plan fails whose first input misses an equality by more than this share of what the row

@@ -27,10 +27,13 @@ from wbmpc.solver.memory_layout import (
     LANE_F,
     LANE_J1,
     LANE_J2,
+    LANE_J3,
+    LANE_J4,
     LANE_NEXT,
     LANE_P,
     LANE_S1,
     LANE_S2,
+    LANE_S3,
     LANE_SMALL,
     LANE_U,
     LANE_VALUES,
@@ -149,6 +152,7 @@ def integrate_lanes(m: Floats, o: Integers, function: int) -> int:
     then go to the sensitivities of the steps in ``lane_ab``."""
     size, x, u, k1 = LANES * o[NX], o[LANE_X], o[LANE_U], o[LANE_F]
     middle, end, j1, j2 = k1 + 4 * size, k1 + 5 * size, o[LANE_J1], o[LANE_J2]
+    j3, j4 = o[LANE_J3], o[LANE_J4]
     derivative = function == LANES_DYNAMICS_J
     stage_lanes(o, function, x, u, k1, j1, j1)
     offset_lanes(m, o, middle, x, k1, 0.5)
@@ -161,13 +165,13 @@ def integrate_lanes(m: Floats, o: Integers, function: int) -> int:
     if derivative:
         chain(m, o, CHAIN_FIRST, j2, j1, o[LANE_S1], 0.5, 1.0 / 3.0)
     offset_lanes(m, o, middle, x, k1 + size, 0.5)
-    stage_lanes(o, function, middle, u, k1 + 2 * size, j2, j2)
+    stage_lanes(o, function, middle, u, k1 + 2 * size, j3, j3)
     if derivative:
-        chain(m, o, CHAIN_NEXT, j2, o[LANE_S1], o[LANE_S2], 0.5, 1.0 / 3.0)
+        chain(m, o, CHAIN_NEXT, j3, o[LANE_S1], o[LANE_S2], 0.5, 1.0 / 3.0)
     offset_lanes(m, o, middle, x, k1 + 2 * size, 1.0)
-    stage_lanes(o, function, middle, u, k1 + 3 * size, j2, j2)
+    stage_lanes(o, function, middle, u, k1 + 3 * size, j4, j4)
     if derivative:
-        chain(m, o, CHAIN_NEXT, j2, o[LANE_S2], o[LANE_S1], 1.0, 1.0 / 6.0)
+        chain(m, o, CHAIN_NEXT, j4, o[LANE_S2], o[LANE_S3], 1.0, 1.0 / 6.0)
     combine_lanes(m, o, end, k1)
     return end
 
@@ -204,7 +208,7 @@ def linearize_dynamics(m: Floats, o: Integers, first: int, count: int) -> None:
 
 @compiled
 def single_lane(m: Floats, o: Integers, lane: int) -> None:
-    """What exact second derivatives need of one node: Jacobians of both slopes, the state in the middle."""
+    """What exact second derivatives of a midpoint step need of one node: Jacobians of both slopes, the state in the middle."""
     for i in range(o[NX] * o[LZ]):
         m[o[J1] + i] = m[o[LANE_J1] + LANES * i + lane]
         m[o[J2] + i] = m[o[LANE_J2] + LANES * i + lane]

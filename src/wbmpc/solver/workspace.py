@@ -131,8 +131,11 @@ BLOCKS = (
     "lane_f",  # (6, nx, 8): slopes, middle, end
     "lane_j1",  # (nx, lz, 8)
     "lane_j2",
+    "lane_j3",  # of the third and fourth stage
+    "lane_j4",
     "lane_s1",
     "lane_s2",
+    "lane_s3",
     "lane_ab",
     "lane_matrix",  # (nz, lz, 8), only the groups with entries
     "lane_equalities",
@@ -217,7 +220,7 @@ class Workspace:
     state: np.ndarray
 
 
-def _lane_shapes(s: Sizes, parameters: int) -> dict[str, tuple[int, ...]]:
+def _lane_shapes(s: Sizes, parameters: int, rk4: bool) -> dict[str, tuple[int, ...]]:
     """Of the blocks with eight nodes side by side."""
     sizes = {
         "lane_x": pad(s.nx),
@@ -227,6 +230,7 @@ def _lane_shapes(s: Sizes, parameters: int) -> dict[str, tuple[int, ...]]:
         "lane_small": 6,
         "lane_f": 6 * s.nx,
         **{f"lane_{name}": s.nx * s.lz for name in ("j1", "j2", "s1", "s2", "ab")},
+        **{f"lane_{name}": s.nx * s.lz * rk4 for name in ("j3", "j4", "s3")},
         "lane_matrix": s.nz * s.lz,
         "lane_equalities": pad(s.equality_buffer()),
         "lane_rows": s.nr * s.lz,
@@ -290,7 +294,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "second": (s.nz, s.lz),
         "chained": (s.nz, s.lz),
     }
-    shapes |= _lane_shapes(s, shapes["p"][1])
+    shapes |= _lane_shapes(s, shapes["p"][1], problem.ocp.integrator == "rk4")
     return shapes | {name: (n + 1, rows) for name in _ROWS}
 
 
