@@ -162,7 +162,6 @@ class SCurve(BasePath):
 
     kind: Literal["s-curve"] = "s-curve"
     width: float = Field(0.8, ge=0.0, le=10)
-    acceleration: float = Field(3.0, ge=0.1, le=50)
 
     WEIGHTS: ClassVar[dict[str, float]] = {
         "input": 0.05,
