@@ -18,6 +18,7 @@ from wbmpc import lie
 from wbmpc.cli import main
 from wbmpc.configuration import configure
 from wbmpc.default_problem import EVADING, default_problem, keep_clear
+from wbmpc.errors import InputError
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.obstacles.pairs import distances, self_pairs
 from wbmpc.registry import REGISTRY, load
@@ -362,7 +363,20 @@ def test_weights_are_factors_of_costs(driving: Path) -> None:
     _, plain = TaskSettings(robot=str(driving)).prepare()
     where = plain.solver.problem.constant.slices
     key = next(k for k in where if "input" in k and "path" in k)
-    np.testing.assert_allclose(mpc.solver.parameters[where[key]], 3.0 * plain.solver.parameters[where[key]])
+    before = plain.solver.constants[where[key]]
+    assert before.max() > 0.0
+    np.testing.assert_allclose(mpc.solver.constants[where[key]], 3.0 * before)
+
+
+def test_a_part_of_a_cost_has_a_factor_of_its_own(driving: Path) -> None:
+    """Truth: the weights of the problem itself, times both factors."""
+    _, mpc = TaskSettings(robot=str(driving), weights={"end_effector": 2.0, "end_effector.orientation": 0.1}).prepare()
+    _, plain = TaskSettings(robot=str(driving)).prepare()
+    key = "path.end_effector"
+    before, found = (m.solver.constants[m.solver.problem.constant.slices[key]] for m in (plain, mpc))
+    np.testing.assert_allclose(found, before * [2.0, 2.0, 2.0, 0.2, 0.2, 0.2])
+    with pytest.raises(InputError, match=r"part of the cost 'end_effector'.*turn"):
+        TaskSettings(robot=str(driving), weights={"end_effector.turn": 2.0}).prepare()
 
 
 # ---------------------------------------------------------------------- the command line

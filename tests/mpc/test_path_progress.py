@@ -150,6 +150,29 @@ def test_the_desired_speed_ends_with_the_path(mpc: wb.MPC) -> None:
     assert not following.target(np.zeros(6), s)[:, 1].any()
 
 
+@pytest.mark.parametrize(("acceleration", "more"), [(0.5, 0.2), (2.5, 0.4)])
+def test_the_end_of_a_path_costs_little_beside_a_stop(mpc: wb.MPC, acceleration: float, more: float) -> None:
+    """From 1 m to 5 mm before the end: braking evenly takes √(2 · 1 / a) − √(2 · 0.005 / a)."""
+    mpc.path.follow(wb.Path.line((0, 0, 0), (1, 0, 0)), 10.0, acceleration)
+    following, s, t, step = mpc.path.following, 0.0, 0.0, 1e-3
+    assert following is not None
+    while s < 0.995:
+        s += step * float(following.target(np.array([t]), np.array([s]))[0, 1])
+        t += step
+    least = np.sqrt(2.0 / acceleration) - np.sqrt(0.01 / acceleration)
+    assert least < t < least + more
+
+
+def test_desired_progress_is_limited_where_it_is_asked_to_be(mpc: wb.MPC) -> None:
+    """Closed form: 0.5 m/s up to 1 m, then 0.2 m/s; the ramps of 5 m/s² take 0.05 s and 0.02 s longer."""
+    mpc.path.follow(wb.Path.line((0, 0, 0), (9, 0, 0)), 1.0, 5.0)
+    mpc.reset(np.zeros(4))
+    most = np.array([0.0, 1.0, 1.0 + 1e-9, 9.0]), np.array([0.5, 0.5, 0.2, 0.2])
+    found = mpc.path.desired(0.0, np.array([1.0, 2.0, 4.0]), most)
+    assert found == pytest.approx([0.5, 1.0, 1.0 + 0.2 * 2.0], abs=0.04)
+    assert mpc.path.desired(0.0, np.array([4.0]))[0] == pytest.approx(4.0 - 0.1, abs=0.04)
+
+
 def test_progress_of_a_model_is_an_integrator_beside_it() -> None:
     """ẋ and its Jacobian by differences of the wrapped model."""
     inner = wb.Ode({"x": ["a", "b"]}, {"u": ["c"]}, lambda x, u: ca.vertcat(x[1] * u[0], ca.sin(x[0])))

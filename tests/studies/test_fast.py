@@ -8,11 +8,13 @@ import pytest
 import wbmpc as wb
 from wbmpc.configuration import configure
 from wbmpc.errors import InputError
+from wbmpc.model.wheels import wheel_velocities
 from wbmpc.registry import load
 from wbmpc.studies.pankert2022.fast import SwerveFastSettings, WheelWatch
 from wbmpc.studies.pankert2022.fast_courses import PILLAR, SHIFT, SCurve, Slalom, path_error, time_to_goal
 from wbmpc.tasks.obstacles import Extent
 from wbmpc.tasks.settings import TaskMpcSettings
+from wbmpc.tasks.tip_over import reaching
 from wbmpc.types import Truth
 
 
@@ -49,6 +51,17 @@ def test_the_s_curve_heads_along_itself_and_begins_straight() -> None:
     curvature = np.diff(heading) / np.hypot(np.diff(x), np.diff(y))
     assert np.abs(curvature[[0, -1]]).max() < 0.04 * np.abs(curvature).max()
     assert np.abs(np.diff(curvature)).max() < 0.08 * np.abs(curvature).max()  # it changes steadily
+
+
+def test_a_base_on_its_path_is_off_by_its_heading_alone() -> None:
+    """Truth: poses of the path itself, turned by 0.2 rad on the second half."""
+    course, log, robot = SCurve(), wb.Log(), wb.load_robot("swerve-ur10")
+    for k, pose in enumerate(course.curve()):
+        log.add("base", 0.01 * k, pose + [0.0, 0.0, 0.2 * (k > 200)])
+    found = course.metrics(log, 0.0, robot)
+    assert found["heading_error_max"].value == pytest.approx(0.2, abs=0.01)
+    assert found["path_error_max"].value < 1e-4
+    assert course.metrics(log, 0.0, robot)["time_to_goal"].value == pytest.approx(3.99 - 0.03, abs=0.02)
 
 
 @pytest.mark.parametrize("seed", [0, 7])
@@ -95,6 +108,24 @@ def test_the_s_curve_is_driven_with_faster_wheels() -> None:
     for group, times in (("base", 3.0), ("wheel", 3.0), ("steer", 1.0), ("arm", 1.0)):
         part = robot.input[group]
         assert faster.limits.input_upper[part] == pytest.approx(times * robot.limits.input_upper[part])
+
+
+def test_a_base_at_rest_sees_the_whole_of_a_sharp_curve_at_once() -> None:
+    """A guess with wheels that are too fast made plans of a few centimeters for many solves. Truth: rigid-body speeds of the wheels; a base
+    whose wheels turn at most at their limit goes more than half of the way of two seconds."""
+    course = SCurve(length=2.4)
+    robot = reaching(course.equipped(wb.load_robot("swerve-ur10")), np.pi / 2, "H", 0.0)
+    settings = SwerveFastSettings(course=course)
+    robot, mpc = settings.weighted.prepare(False, robot, "base")
+    mpc.reset(robot.home)
+    mpc.update(wb.Observation(0.0, robot.home))
+    course.order(0.02, robot, mpc)
+    twists = mpc.guess._inner.preview(0.02 + np.linspace(0.0, 2.0, 200), robot.home[robot.state["base"]])
+    geometry, leg = robot.base.geometry, robot.home[robot.state["leg"]]
+    fastest = max(np.linalg.norm(wheel_velocities(geometry, leg, twist), axis=1).max() for twist in twists)
+    assert 0.9 * course.drives < fastest < 1.1 * course.drives  # of 1 m/s
+    mpc.update(wb.Observation(0.02, robot.home))
+    assert mpc.path.progress(2.02) > 0.5 * 0.01 * np.linalg.norm(twists[:, :2], axis=1).sum() > 0.5
 
 
 def test_weights_are_factors_on_those_of_the_course() -> None:

@@ -160,6 +160,22 @@ def test_a_light_contact_begins_at_once_and_outlasts_a_bounce() -> None:
         ContactDetector(release=-1.0)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_tip_that_leans_on_a_panel_lightly_touches_it(seed: int) -> None:
+    """Truth: the force itself, of 0.55 N for 0.13 s as a soft tip had it, which was no touch; the sensor's noise of 0.1 N is none in 20 s;
+    nor is what is left of a mean when a push of 16 N has ended."""
+    noise, h = 0.1 * np.random.default_rng(seed).normal(size=8400), 0.0025
+    force = np.zeros(8400)
+    force[8000:8052], force[8052:8200] = 0.55, 16.0
+    monitor = ContactDetector(**LIGHT)
+    seen = np.array([monitor.update(h * k, f) for k, f in enumerate(force + noise)])
+    first = int(np.flatnonzero(seen)[0])
+    assert 8000 <= first <= 8020 and seen[first:8200].all()  # within 50 ms
+    assert not seen[8230:].any()
+    with pytest.raises(InputError, match="mean_time"):
+        ContactDetector(mean_time=-0.1)
+
+
 def touch(force: np.ndarray, reason: str = "", speed: float = 0.1) -> Touch:
     """Forces at steps of 1 ms from 1 s on, before which the tip comes with 0.03 m/s."""
     t = np.arange(0.0, 3.0, 0.001)

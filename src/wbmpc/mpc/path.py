@@ -20,8 +20,9 @@ from wbmpc.solver import Solver, Trajectory
 
 #: References along a path: values (n, width) at arc lengths s (n) [m].
 Along = Callable[[Array], Array]
-#: Near its end the desired speed falls in proportion to what is left [1/s]: that ends a plan softly, within a second.
-ENDING = 4.0
+#: Near its end the desired speed falls in proportion to what is left [1/s]: that ends a plan softly, and without overshoot where a robot
+#: brakes later than ``acceleration`` says.
+ENDING = 6.0
 #: Step [s] of progress that is foreseen.
 STEP = 0.05
 
@@ -187,8 +188,9 @@ class PathProgress:
             return float(plan.x[0, self._n] + since * plan.x[0, self._n + 1])
         return float(np.interp(since, plan.grid, plan.x[:, self._n]))
 
-    def desired(self, t: float, since: Array) -> Array:
-        """Progress (n) [m] at ``since`` (n) [s] after ``t`` [s] if nothing but the desired speed and the largest acceleration limits it."""
+    def desired(self, t: float, since: Array, most: tuple[Array, Array] | None = None) -> Array:
+        """Progress (n) [m] at ``since`` (n) [s] after ``t`` [s] if nothing but the desired speed, the largest acceleration and ``most``
+        limits it: progress (k) [m], rising, and the largest speed (k) [m/s] there."""
         following = self.following
         if following is None:
             raise InputError("mpc.path.desired: nothing is followed; valid: after mpc.path.follow(path, speed)")
@@ -197,6 +199,8 @@ class PathProgress:
         for now in times[:-1]:
             found.append(s)
             target = float(following.target(np.array([t + now]), np.array([s]))[0, 1])
+            if most is not None:
+                target = min(target, *np.interp([s, s + speed * STEP], *most).tolist())
             speed = min(speed + following.acceleration * STEP, max(target, 0.0))
             s += speed * STEP
         return np.interp(since, times[:-1], found)

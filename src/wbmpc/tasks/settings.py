@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from wbmpc.bases import base_type
@@ -76,7 +77,7 @@ class TaskMpcSettings(Settings):
 
 class TaskSettings(SimulationSettings):
     """``robot``: a name (see 'wbmpc list') or a file; ``mpc``: what differs from the robot's default problem;
-    ``weights``: factors of costs by name, as the sliders of a view set them; ``avoid``:
+    ``weights``: factors of costs by name, as the sliders of a view set them, and of parts of them ("contour.orientation"); ``avoid``:
     "nothing" for plans that know of no obstacles, to compare with; ``stability``: what keeps a robot from tipping over that stops fast
     with a load; where it keeps something, plans are by accelerations. The others (``plant``, ``computation_delay``, ``settle_time``,
     ``obstacles``): :class:`SimulationSettings`."""
@@ -116,14 +117,23 @@ class TaskSettings(SimulationSettings):
 
 
 def scale_weights(mpc: MPC, factors: dict[str, float]) -> None:
-    """Multiply the weights of costs by ``factors``. Raises :class:`InputError` for a name that no cost has."""
+    """Multiply the weights of costs by ``factors``, by the names of costs, or of a cost and one of its residual's groups
+    ("contour.orientation"). Raises :class:`InputError` for a name that no cost has."""
     costs: dict[str, Any] = {t.name: t for t in mpc.ocp.terms.values() if isinstance(t, Cost)}
+    scales: dict[str, np.ndarray] = {}
     for name, factor in factors.items():
-        if name not in costs:
-            raise unknown_name("cost (setting 'weights')", name, costs)
+        whole, _, group = name.partition(".")
+        if whole not in costs:
+            raise unknown_name("cost (setting 'weights')", whole, costs)
+        groups = costs[whole].residual.groups
+        if group and group not in groups:
+            raise unknown_name(f"part of the cost '{whole}' (setting 'weights')", group, groups)
+        scale = scales.setdefault(whole, np.ones(len(costs[whole].expand(costs[whole].weight))))
+        scale[groups[group] if group else slice(None)] *= factor
+    for name, scale in scales.items():
         cost = costs[name]
         end = cost.weight if cost.terminal_weight is None else cost.terminal_weight
         places: tuple[tuple[Literal["path", "terminal"], Any], ...] = (("path", cost.weight), ("terminal", end))
         for place, weight in places:
             if cost.at in (place, "path+terminal"):
-                mpc.solver.set_weight(name, list(factor * cost.expand(weight)), place)
+                mpc.solver.set_weight(name, list(scale * cost.expand(weight)), place)

@@ -22,7 +22,8 @@ from wbmpc.bases.base import Calibration
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
-from wbmpc.bases.swerve.steering_planner import LEVER, SteeringGuess, speed
+from wbmpc.bases.swerve.model import swerve_base
+from wbmpc.bases.swerve.steering_planner import LEVER, SteeringGuess, speed, wheel_directions
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.default_problem import stay_at_home
@@ -38,6 +39,10 @@ if TYPE_CHECKING:
 
 #: Way [m] over which the base's direction on the path is measured.
 WAY = 1e-3
+#: Points of the way ahead at which it is asked how fast wheels can follow it.
+POINTS = 100
+#: A guess goes through a kink of the path at this speed [m/s].
+CREEP = 0.1
 
 
 class PathGuess:
@@ -64,7 +69,8 @@ class PathGuess:
         if found is not None and self._path is not None:
             # progress where the base moves
             moving = speed(found.u[:, self.robot.input["base"]]) > 0.0
-            rate = np.append(np.diff(self._path.desired(t, found.grid)), 0.0)
+            way = self._path.desired(t, found.grid, self._most(t, found.grid[-1]))
+            rate = np.append(np.diff(way), 0.0)
             self._path.write(found, np.concatenate([[0.0], np.cumsum(np.where(moving, rate[:-1], 0.0))]))
         return found
 
@@ -72,13 +78,38 @@ class PathGuess:
         """Body twists (n, 3) of the base at ``times`` (n) [s], of which the first is now."""
         following = self._following()
         assert following is not None and self._path is not None
-        since = times - times[0]
-        s, h = self._path.desired(float(times[0]), since), 1e-2
-        rate = (self._path.desired(float(times[0]), since + h) - s) / h
+        t, since, h = float(times[0]), times - times[0], 1e-2
+        s, later = np.split(self._path.desired(t, np.append(since, since + h), self._most(t, since[-1] + h)), 2)
+        return self._ways(following, s) * ((later - s) / h)[:, None]
+
+    def _ways(self, following: Following, s: Array) -> Array:
+        """Body twists (n, 3) of the base per meter of progress, at progress (n) [m]."""
         at, ahead = (following.along["state"](v)[:, self._base] for v in (s, s + WAY))
-        way = (ahead - at) / WAY * rate[:, None]
+        way = (ahead - at) / WAY
         c, q = np.cos(at[:, 2]), np.sin(at[:, 2])
         return np.stack([c * way[:, 0] + q * way[:, 1], c * way[:, 1] - q * way[:, 0], way[:, 2]], axis=1)
+
+    def _most(self, t: float, horizon: float) -> tuple[Array, Array]:
+        """Progress (k) [m] that is in reach within a ``horizon`` [s], and how fast [m/s] wheels, their steering and the base can follow
+        the path there and brake for what is ahead: a guess with wheels that are too fast takes many solves to mend, while the robot stands."""
+        following, path = self._following(), self._path
+        assert following is not None and path is not None
+        ahead = path.desired(t, np.array([0.0, horizon]))
+        s, limits, inputs = (
+            np.linspace(ahead[0], ahead[1] + WAY, POINTS),
+            self.robot.limits.input_upper,
+            self.robot.input,
+        )
+        step, ways, geometry = s[1] - s[0], self._ways(following, s), swerve_base(self.robot).geometry
+        legs = self.robot.home[self.robot.state["leg"]] if "leg" in self.robot.state else np.zeros(geometry.modules)
+        angles, speeds = wheel_directions(geometry, legs, np.zeros(geometry.modules), ways)
+        turns = np.abs(np.gradient(np.unwrap(angles, axis=0, period=np.pi), step, axis=0))
+        fastest = limits[inputs["wheel"]] * geometry.wheel_radius
+        shares = (speeds / fastest, turns / self._guess.rate, np.abs(ways) / limits[inputs["base"]])
+        most = np.maximum(1.0 / np.maximum(np.concatenate(shares, axis=1).max(axis=1), 1e-9), CREEP)
+        for k in range(POINTS - 2, -1, -1):
+            most[k] = min(most[k], np.sqrt(most[k + 1] ** 2 + 2.0 * following.acceleration * step))
+        return s, most
 
 
 #: Speed [m/s] of the way that is foreseen, its least time [s]; a goal nearer than this [m] is reached.

@@ -46,8 +46,9 @@ SLIDING = 0.06
 #: A door is taken to come back no faster than at the last [rad/s], however it was estimated.
 CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
 #: Forces [N] at which a contact begins, at once, and ends that the end effector comes to slowly, and after how long [s] without a force: what
-#: inertia the sensor carries hardly counts, and a hard tip bounces until the plan presses it on.
-LIGHT = {"on": 0.8, "off": 0.4, "debounce": 0.0, "release": 0.06}
+#: inertia the sensor carries hardly counts, and a hard tip bounces until the plan presses it on. A soft one may lean on the panel with less
+#: than the first for a tenth of a second.
+LIGHT = {"on": 0.8, "off": 0.4, "debounce": 0.0, "release": 0.06, "mean_time": 0.01}
 #: The push is corrected by what is measured within this time [s]; of so many torques it is known which push went with them.
 EXCESS_TIME, ASKED = 0.05, 16
 

@@ -42,6 +42,7 @@ _FAST: Definitions = {
     "tilt_max": ("rad", "largest angle of the axis of the base to the vertical; true"),
     "time_unloaded": ("s", "time in which any wheel carries less than 1 N; true"),
     "path_error_max": ("m", f"largest distance of the end effector (on the s-curve: the base) from its path; {_WORLD}"),
+    "heading_error_max": ("rad", f"largest difference of the base's heading to the direction of its path; {_WORLD}"),
     **_SLIP,
 }
 _FIXED: Definitions = {
