@@ -135,7 +135,9 @@ def test_a_disk_that_is_full_at_the_end_of_a_file_ends_the_recording_alone(
     ("then", "why"), [("new = 1", "another file took its place"), ("", "No such file or directory")]
 )
 @pytest.mark.parametrize("rotates", [False, True])
-def test_a_recording_that_is_not_there_at_the_end_is_reported(then: str, why: str, rotates: bool, tmp_path: Path) -> None:
+def test_a_recording_that_is_not_there_at_the_end_is_reported(
+    then: str, why: str, rotates: bool, tmp_path: Path
+) -> None:
     """What is written goes to a file without a name then: the run would end as if it had its recording."""
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, {})
