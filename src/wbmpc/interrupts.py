@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 #: After so long [s] a signal acts that came where its exception would be lost.
 _AGAIN = 0.01
@@ -98,10 +98,15 @@ def _nothing_dropped() -> Iterator[None]:
             sys.unraisablehook = previous
 
 
+def in_main_thread() -> bool:
+    """Whether this is the thread in which Python runs handlers of signals: what a signal raises comes nowhere else."""
+    return threading.current_thread() is threading.main_thread()
+
+
 @contextmanager
 def terminable() -> Iterator[None]:
     """Handle Ctrl-C, SIGTERM and SIGHUP, but for those that have other handlers, in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
+    if not in_main_thread():
         yield
         return
     taken: dict[int, tuple[Any, Any]] = {
@@ -134,6 +139,29 @@ def interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+
+
+@contextmanager
+def exits_seen() -> Iterator[None]:
+    """``os._exit`` of this process raises SystemExit in the main thread, and ends with no 0 in others: it would pass for the command's own
+    success."""
+    if not in_main_thread():
+        yield
+        return
+    leave, process = os._exit, os.getpid()
+
+    def leave_seen(status: int) -> NoReturn:
+        if os.getpid() != process:  # a child's status is its own
+            leave(status)
+        if in_main_thread():
+            raise SystemExit(status)
+        leave(status or 1)
+
+    os._exit = leave_seen
+    try:
+        yield
+    finally:
+        os._exit = leave
 
 
 def interrupted(error: BaseException) -> bool:

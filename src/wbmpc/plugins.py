@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from wbmpc.errors import NO_TEXT, InputError, WbmpcError, described, text_of
-from wbmpc.interrupts import interrupted
+from wbmpc.interrupts import exits_seen, interrupted
 
 #: The distribution whose names others cannot take.
 OWN = "wbmpc"
@@ -34,36 +32,13 @@ def mistakes_of(what: str, file: Path | None = None, kind: type[WbmpcError] = In
     """Whatever other people's code raises, or that it ends the process, is an error of a ``kind`` that begins with ``file``, its line, and
     ``what``. Ctrl-C stays Ctrl-C."""
     try:
-        with _exits_seen():
+        with exits_seen():
             yield
     except BaseException as error:
         if interrupted(error) or (isinstance(error, WbmpcError) and text_of(error) != NO_TEXT):
             raise
         place = "" if file is None else f"{file}{_line(file, error)}: "
         raise kind(f"{place}{what}: {described(error)}") from error
-
-
-@contextmanager
-def _exits_seen() -> Iterator[None]:
-    """``os._exit`` of this process raises SystemExit in the main thread, and ends with no 0 in others: it would pass for the command's own
-    success."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    leave, process = os._exit, os.getpid()
-
-    def leave_seen(status: int) -> NoReturn:
-        if os.getpid() != process:  # a child's status is its own
-            leave(status)
-        if threading.current_thread() is threading.main_thread():
-            raise SystemExit(status)
-        leave(status or 1)
-
-    os._exit = leave_seen
-    try:
-        yield
-    finally:
-        os._exit = leave
 
 
 def _line(file: Path, error: BaseException) -> str:

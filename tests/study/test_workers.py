@@ -114,7 +114,7 @@ def test_threads_that_import_one_file_at_a_time_get_whole_modules(tmp_path: Path
 
 
 def test_an_interrupt_that_a_program_raises_in_a_workers_thread_is_its_own_mistake(tmp_path: Path) -> None:
-    """Truth: Python runs handlers of signals in the main thread alone. Dask's worker died of it, three times, with a traceback each."""
+    """Truth: Python runs handlers of signals in the main thread alone. It ended Dask's worker, three times, with a traceback each."""
     file = tmp_path / "valley.py"
     file.write_text((HERE / "valley.py").read_text().replace("ZeroDivisionError(", "KeyboardInterrupt("))
     task = {"source": str(file), "changes": {"raise_at": 1}, "seed": 1, "files": None, "keep": "none"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import shutil
 import socket
-import threading
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -16,6 +15,7 @@ from typing import Any
 
 from wbmpc import __version__
 from wbmpc.errors import InputError, NotWritten, RunAborted, described
+from wbmpc.interrupts import in_main_thread
 from wbmpc.recording.recorder import Recorder
 from wbmpc.report import RECORDING, about_run, commit, outcome, write_run
 from wbmpc.result import RunResult
@@ -57,7 +57,7 @@ def execute(task: Mapping[str, Any]) -> dict[str, Any]:
     except RunAborted as error:
         found = {"outcome": "gave_up", "reason": str(error)}
     except BaseException as error:  # Ctrl-C comes to the main thread alone: in a worker's a program has raised it
-        if not isinstance(error, Exception) and threading.current_thread() is threading.main_thread():
+        if in_main_thread() and not isinstance(error, Exception):
             raise
         found = {"outcome": ERROR, "reason": described(error)}
     unwanted = "unwritten" in found or (found["outcome"] == "completed" and task["keep"] == "failed")

@@ -92,9 +92,9 @@ def _check_module(
     description: RobotDescription, tree: Tree, module: ModuleDescription, poses: list[tuple[Array, Array]]
 ) -> None:
     steer, wheel = tree.joint(module.steer), tree.joint(module.wheel)
-    for above, name in ((module.leg, module.steer), (module.steer, module.wheel)):
-        if above:
-            tree.check_moves(above, name, f"{description.source}: key 'base.modules'")
+    for upper, joint in ((module.leg, module.steer), (module.steer, module.wheel)):
+        if upper:
+            tree.check_moves(upper, joint, f"{description.source}: key 'base.modules'")
     for name in (module.hinge, module.steer, module.wheel):
         if name and tree.links[tree.joint(name)].kind != "revolute":
             raise InputError(
