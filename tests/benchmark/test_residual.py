@@ -109,7 +109,7 @@ def test_the_race_to_an_equal_residual() -> None:
     problem = suite_bench(cartpole(10))
     prepared = prepare(problem, compile_functions=False)
     measure = Measure(prepared.program)
-    maximum = ours(problem, 2)[2]["iterations"]
+    maximum = problem.solver.settings.iterations
     own = to_equal_residual(
         lambda k: several_iterations(problem, k, 1), maximum, lambda x, u: measure(x, u, problem.x0)
     )

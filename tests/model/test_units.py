@@ -101,7 +101,7 @@ def test_units_go_through_the_log_into_comparisons(tmp_path: Path) -> None:
     assert read_log(tmp_path / "a/log.npz")["state.units"].tolist() == list(units)
     plots = overlay(runs, ["a", "b"])
     assert [(p.y_label, [s.signal for s in p.series]) for p in plots] == [
-        ("state [m]", ["lift"] * 2), ("state [rad]", ["elbow", "wrist"] * 2)
+        ("state [m]", ["lift"] * 2), ("state [°]", ["elbow", "wrist"] * 2)
     ]  # fmt: skip
     bare = [logged(tmp_path / name, ()) for name in "cd"]
     assert [p.y_label for p in overlay(bare, ["c", "d"])] == ["state"]
