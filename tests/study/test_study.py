@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shlex
 import shutil
 import threading
@@ -84,6 +85,10 @@ def test_a_changed_setting_in_a_half_done_study_is_named(tmp_path: Path) -> None
     changed = Study.load(study(tmp_path, TEXT.replace("2.5", "2.25")), tmp_path / "out")
     with pytest.raises(InputError, match=r"10 of its 20 runs .* near: control.gain was 2.5, is 2.25; change the study"):
         changed.run(workers=0)
+    sweep = lambda gains: re.sub(r"(?m)^conditions:\n(?:  .*\n)+", f"vary: {{control.gain: {gains}}}\n", TEXT)
+    Study.load(study(tmp_path, sweep("[2.5, 4]")), tmp_path / "swept").run(workers=0)
+    with pytest.raises(InputError, match=r"control.gain was 4.0, is 4.5; change"):
+        Study.load(study(tmp_path, sweep("[2.5, 4.5]")), tmp_path / "swept").run(workers=0)
     more = Study.load(study(tmp_path, TEXT.replace("300-309", "300-311")), tmp_path / "out")
     assert more.run(workers=0).finished == 24  # more seeds are no change
 

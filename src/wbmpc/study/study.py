@@ -293,9 +293,14 @@ def reject_others(out: Path, found: list[Combination], known: Mapping[str, Any])
         return
     first = next(key for key in others if key not in keys)
     raise InputError(
-        f"{out}: {count} of its {len(known)} runs are of other settings than this study's: {_difference(out, first, found)}; "
+        f"{out}: {count} of its {len(known)} runs are of other settings than this study's: {_difference(out, first, _without(found, others))}; "
         "change the study back, or give another --out"
     )
+
+
+def _without(found: list[Combination], known: Mapping[str, int]) -> list[Combination]:
+    """The combinations that a folder has no runs of: what one of its own became is among them. All, if there are none."""
+    return [c for c in found if c.key not in known] or found
 
 
 def _difference(out: Path, key: str, found: list[Combination]) -> str:
