@@ -28,6 +28,7 @@ from urdf_parts import (
 )
 
 from wbmpc.cli import main
+from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
 from wbmpc.robots.doctor import examine_robot
@@ -122,6 +123,9 @@ def test_bodies_that_can_touch_are_listed(tmp_path: Path) -> None:
     assert "# bodies that come near each other" in out.read_text()
     given = new(path, "--set", "collision.self.pairs=[[fore, hull]]")
     assert load_robot(given).description.collision.self.pairs == (("fore", "hull"),)
+    given.write_text(given.read_text().replace("[fore, hull]", "[fore, fore]"))
+    with pytest.raises(InputError, match=r"collision.self.pairs.*two bodies that differ, got 'fore' twice"):
+        load_robot(given)
 
 
 def test_options_instead_of_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

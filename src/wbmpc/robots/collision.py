@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal, Self
 
 import mujoco
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from wbmpc.bases.base import Section
 from wbmpc.errors import unknown_name
@@ -17,7 +17,15 @@ _Unit = Annotated[float, Field(ge=-1.01, le=1.01)]
 _Point = tuple[_Place, _Place, _Place]
 #: Distances that are kept [m].
 _Margin = Annotated[float, Field(ge=0.0, le=10.0)]
-Pair = tuple[str, str]
+
+
+def _two(pair: tuple[str, str]) -> tuple[str, str]:
+    if pair[0] == pair[1]:
+        raise ValueError(f"a pair needs two bodies that differ, got '{pair[0]}' twice")
+    return pair
+
+
+Pair = Annotated[tuple[str, str], AfterValidator(_two)]
 #: ``auto`` in a file is None.
 _Auto = BeforeValidator(lambda value: None if value == "auto" else value)
 #: Keys of each kind of shape.
