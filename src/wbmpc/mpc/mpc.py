@@ -37,8 +37,8 @@ _USABLE = 1
 
 
 class MPC(Described):
-    """Receding-horizon control: solves one problem repeatedly, starting from the shifted last solution, where there is none from the state held
-    if what :meth:`reset` or the guess gave leads beyond all bounds.
+    """Receding-horizon control: solves one problem repeatedly, starting from the shifted last solution. A first solve that diverges from what
+    :meth:`reset` or the guess gave is repeated from the state held.
 
     ``ocp``: the problem. ``solver``: real-time settings, :meth:`SQP.real_time` (also of ILQR and SLQ); default: one iteration. ``rate``
     [Hz] of updates. ``first_iterations``: number of solver calls for the first plan, each with the iterations of ``solver``.
@@ -92,7 +92,6 @@ class MPC(Described):
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
         self._reported = False
-        self._held = False  # whether a pass starts from the state held instead of the guess
         self._lines = RateLimit()
         self._plan_check = PlanCheck(self.solver, self._lines)
 
@@ -241,15 +240,13 @@ class MPC(Described):
         passes = self.first_iterations if self._t is None else 1
         self._iterations, start = 0, (observation.t, x0, delta, passes)
         self._pass(*start)
-        if self._t is None and self._plan_check.broken(
-            self._outcome[0]
-        ):  # what it started from may be beyond all bounds
+        if self._t is None and self._plan_check.broken(self._outcome[0]):
             restart_from(self.solver, x0)
-            self._held = True
+            guess, self._guess = self._guess, None  # it, or what reset gave, leads beyond all bounds
             try:
                 self._pass(*start)
             finally:
-                self._held = False
+                self._guess = guess
         self._t = observation.t
         self._count_events(observation.t)
         self.fault = self._plan_check.fault(observation.t, self._outcome[0])
@@ -299,7 +296,7 @@ class MPC(Described):
 
     def _apply_guess(self, t: float, x0: np.ndarray, start: float) -> None:
         """``start`` [s]: of the last plan."""
-        if self._guess is None or self._held:
+        if self._guess is None:
             return
         with self.solver.exclusive.lent():
             found = self._guess(t, x0.copy(), self.solver.trajectory(start))
