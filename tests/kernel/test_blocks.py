@@ -36,6 +36,19 @@ def test_pack(count: int) -> None:
         np.testing.assert_array_equal(out[:width], nodes[np.minimum(np.arange(8), count - 1)].T)
 
 
+@pytest.mark.parametrize("count", range(1, 9))
+@pytest.mark.parametrize("size", [1, 7, 8, 9, 20])
+def test_unpack_values(size: int, count: int) -> None:
+    """Also to places that are not multiples of eight; nothing beside a node's numbers changes."""
+    engine, r, stride = compiled(blocks.unpack_values("unpack", size)), np.random.default_rng(count), size + 5
+    nodes, before = r.normal(size=(count, size)), r.normal(size=3 + count * stride)
+    found = aligned_copy(before)
+    call(engine, "unpack", aligned_copy(nodes[np.minimum(np.arange(8), count - 1)].T), found[3:], 8 * stride, count - 1)
+    for k in range(count):
+        before[3 + k * stride : 3 + k * stride + size] = nodes[k]
+    np.testing.assert_array_equal(found, before)
+
+
 @pytest.mark.parametrize("whole", [False, True])
 @pytest.mark.parametrize("count", range(1, 9))
 def test_unpack(count: int, whole: bool) -> None:

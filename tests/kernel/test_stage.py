@@ -125,16 +125,27 @@ def test_matrix_layout(solver) -> None:  # type: ignore[no-untyped-def]
     x, u, p, w, _ = eight_stages(solver, 4)
     n = min(8, len(ws.u))
     ws.x[:n], ws.u[:n], ws.p[:n, : p.shape[1]], ws.w[: w.size] = x[:n], u[:n], p[:n], w
+    for block in (places.ROW_T, places.ROW_L, places.ROW_S, places.ROW_Y):
+        own = ws.memory[ws.table[block] :][: n * ws.table[places.ROWS]]
+        own[:] = np.random.default_rng(block).uniform(0.1, 1.0, own.size)
     riccati.linearize_block(ws.memory, ws.table, 0, n, 0)
     index = [*range(s.nx), *range(s.first, s.nz)]
     at = lambda place, rows, k: ws.memory[ws.table[place] + k * rows * s.lz :][: rows * s.lz].reshape(rows, s.lz)
-    quadratic = problem.derivatives["cost_quadratic"]
+    quadratic, rows = problem.derivatives["cost_quadratic"], problem.derivatives["rows_jacobian"]
     for k in range(n):
-        _, gradient, hessian = quadratic(x[k], u[k], p[k], w, ws.grid[k + 1] - ws.grid[k])
+        h = ws.grid[k + 1] - ws.grid[k]
+        _, gradient, hessian = quadratic(x[k], u[k], p[k], w, h)
         full = np.array(hessian) + np.triu(np.array(hessian), 1).T
         matrix, column = at(places.H, s.nz, k), np.array(gradient).ravel()
         scale = 1e-11 * (1.0 + np.abs(full).max())
-        np.testing.assert_allclose(matrix[: s.nx, : s.nx], full[: s.nx, : s.nx], rtol=1e-9, atol=scale)
+        if s.nr:
+            first = ws.table[places.ROW_C] + k * ws.table[places.ROWS] + ws.table[places.ROW_BOXES]
+            jacobian, sigma = np.array(rows(x[k], u[k], p[k], w)[1]), ws.memory[first : first + s.nr]
+            assert k == 0 or np.all(sigma > 0.0)
+            full += jacobian.T @ (h * sigma[:, None] * jacobian)
+            scale = 1e-11 * (1.0 + np.abs(full).max())
+        else:
+            np.testing.assert_allclose(matrix[: s.nx, : s.nx], full[: s.nx, : s.nx], rtol=1e-9, atol=scale)
         lower = np.tril(matrix[np.ix_(index, index)])
         np.testing.assert_allclose(lower, np.tril(full), rtol=1e-9, atol=scale)
         np.testing.assert_allclose(matrix[index, s.nx], column, rtol=1e-9, atol=scale)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from wbmpc.kernel.dense import FMA, V, transposed
+from wbmpc.kernel.dense import FMA, Body, V, transposed
 from wbmpc.kernel.ir import LANES, Lines
 
 
@@ -74,23 +74,39 @@ def unpack(name: str, groups: Iterable[int], whole: bool = False) -> str:
     return "\n".join([constant, head, "entry:", *_lane_pointers(), *_loop(body, str(len(starts)))])
 
 
+def unpack_values(name: str, count: int) -> str:
+    """``name(lanes, node, stride [bytes], last)``: ``count`` vectors, one after the other in ``lanes``, to where each node has its numbers."""
+    o = Body(name, "")
+    o.lines = [f"define void @{name}(ptr %lanes, ptr %node, i64 %stride, i64 %last) nounwind {{", *_lane_pointers()]
+    for first in range(0, count, LANES):
+        own = range(first, min(first + LANES, count))
+        vectors = [o.load("lanes", LANES * i) for i in own]
+        for i, value in enumerate(o.transpose([*vectors, *["zeroinitializer"] * (LANES - len(own))])):
+            o.store_some(value, len(own), f"q{i}", first)
+    return o.text()
+
+
 def declarations(width: int) -> str:
     """What the functions of this module need besides :data:`wbmpc.kernel.dense.FMA`."""
     text = "declare i64 @llvm.smin.i64(i64, i64) nounwind memory(none)"
     return text if width == 8 else text + "\n" + FMA.replace("8 x", f"{width} x").replace("v8", f"v{width}")
 
 
-class _Chain(Lines):
-    """Code of one pass of a stage's sensitivities: as many of the eight nodes as the target's registers hold."""
+class LaneBody(Lines):
+    """Code of a function of eight nodes: in each pass as many of them as the target's registers hold. An entry is a vector of eight nodes."""
 
-    def __init__(self, width: int, ld: int, start: float | None) -> None:
-        self.lines, self.count = list[str](), 0
-        self.t, self.width, self.ld, self.start = f"<{width} x double>", width, ld, start
+    def __init__(self, name: str, arguments: str, width: int) -> None:
+        self.t, self.width, self.count, self.label = f"<{width} x double>", width, 0, "pass"
+        parameters = ", ".join(f"ptr noalias %{a}" for a in arguments.split())
+        self.lines = [f"define void @{name}({parameters}) nounwind {{", "entry:", "br label %pass", "pass:"]
+        self.lines.append("%lane = phi i64 [0, %entry], [%next, %again]")
+        self.lines += [f"%own{a} = getelementptr double, ptr %{a}, i64 %lane" for a in arguments.split()]
+        self.sums: list[tuple[int, str]] = []
 
     def at(self, array: str, entry: str | int) -> str:
         """Address of an entry's vector."""
         offset = LANES * entry if isinstance(entry, int) else self.new(f"mul i64 {entry}, {LANES}")
-        return self.new(f"getelementptr double, ptr %{array}, i64 {offset}")
+        return self.new(f"getelementptr double, ptr %own{array}, i64 {offset}")
 
     def load(self, array: str, entry: str | int) -> str:
         return self.new(f"load {self.t}, ptr {self.at(array, entry)}")
@@ -98,44 +114,80 @@ class _Chain(Lines):
     def store(self, value: str, array: str, entry: str | int) -> None:
         self.lines.append(f"store {self.t} {value}, ptr {self.at(array, entry)}")
 
+    def scale(self, a: str, b: str) -> str:
+        return self.new(f"fmul {self.t} {a}, {b}")
+
     def fma(self, a: str, b: str, c: str) -> str:
         return self.new(f"call {self.t} @llvm.fmuladd.v{self.width}f64({self.t} {a}, {self.t} {b}, {self.t} {c})")
 
+    def loop(self, count: int, initial: Sequence[str]) -> tuple[str, list[str]]:
+        """Begin a loop without branches: its index, and vectors that start as ``initial`` and go on as :meth:`end_loop` says."""
+        before, self.label = self.label, f"loop{self.count}"
+        self.lines += [f"br label %{self.label}", f"{self.label}:"]
+        self.bound, self.index = count, f"%{self.label}.i"
+        self.lines.append(f"{self.index} = phi i64 [0, %{before}], [{self.index}.next, %{self.label}]")
+        self.sums = []
+        for i, value in enumerate(initial):
+            self.sums.append((len(self.lines), f"%{self.label}.s{i} = phi {self.t} [{value}, %{before}], "))
+            self.lines.append("")
+        return self.index, [text.split(" ")[0] for _, text in self.sums]
+
+    def end_loop(self, following: Sequence[str]) -> None:
+        """End the loop that was begun last; ``following``: its vectors in the next turn, and after the last one."""
+        for (line, text), value in zip(self.sums, following, strict=True):
+            self.lines[line] = f"{text}[{value}, %{self.label}]"
+        self.lines += [f"{self.index}.next = add i64 {self.index}, 1"]
+        self.lines.append(f"{self.index}.c = icmp eq i64 {self.index}.next, {self.bound}")
+        self.lines += [f"br i1 {self.index}.c, label %after.{self.label}, label %{self.label}", f"after.{self.label}:"]
+        self.label = f"after.{self.label}"
+
+    def text(self) -> str:
+        """The whole function."""
+        end = [
+            f"%next = add i64 %lane, {self.width}",
+            f"%done = icmp eq i64 %next, {LANES}",
+            "br label %again",
+            "again:",
+        ]
+        return "\n".join([*self.lines, *end, "br i1 %done, label %out, label %pass", "out:", "ret void", "}"])
+
+
+class _Chain(LaneBody):
+    """Code of one stage's sensitivities."""
+
+    def __init__(self, name: str, width: int, ld: int, start: float | None) -> None:
+        super().__init__(name, "J S T A C", width)
+        self.ld, self.start = ld, start
+        self.c, self.w = self.load("C", 0), self.load("C", 1)
+
     def factors(self, r: int, states: Iterable[int]) -> dict[int, str]:
         """c Jx of row r."""
-        return {s: self.new(f"fmul {self.t} %c, {self.load('j', r * self.ld + s)}") for s in states}
+        return {s: self.new(f"fmul {self.t} {self.c}, {self.load('J', r * self.ld + s)}") for s in states}
 
     def entry(self, at: str | int, slope: str, unit: bool) -> None:
         """T and A of an entry whose slope is known."""
         if self.start is None:
-            self.store(slope, "t", at)
-            total = self.load("a", at)
+            self.store(slope, "T", at)
+            total = self.load("A", at)
         else:
             total = splat(1.0) if unit else "zeroinitializer"
             if self.start > 0.0:
-                self.store(slope, "t", at)
-                slope = self.fma(self.load("s", at), splat(self.start), slope)
-        self.store(self.fma(slope, "%w", total), "a", at)
+                self.store(slope, "T", at)
+                slope = self.fma(self.load("S", at), splat(self.start), slope)
+        self.store(self.fma(slope, self.w, total), "A", at)
 
     def full_row(self, r: int, factors: dict[int, str], nz: int) -> None:
         """All entries of a row in a loop."""
-        self.lines += [
-            f"br label %h{r}",
-            f"h{r}:",
-            f"br label %b{r}",
-            f"b{r}:",
-            f"%z{r} = phi i64 [0, %h{r}], [%n{r}, %b{r}]",
-        ]
-        place = lambda row: self.new(f"add i64 %z{r}, {row * self.ld}")
-        slope = self.load("j", place(r))
+        z, _ = self.loop(nz, [])
+        place = lambda row: self.new(f"add i64 {z}, {row * self.ld}")
+        slope = self.load("J", place(r))
         for s, factor in factors.items():
-            slope = self.fma(self.load("s", place(s)), factor, slope)
+            slope = self.fma(self.load("S", place(s)), factor, slope)
         self.entry(place(r), slope, False)
-        self.lines += [f"%n{r} = add i64 %z{r}, 1", f"%d{r} = icmp eq i64 %n{r}, {nz}"]
-        self.lines += [f"br i1 %d{r}, label %x{r}, label %b{r}", f"x{r}:"]
+        self.end_loop([])
         if self.start is not None:
-            unit = self.new(f"fadd {self.t} {self.load('a', r * self.ld + r)}, {splat(1.0)}")
-            self.store(unit, "a", r * self.ld + r)
+            unit = self.new(f"fadd {self.t} {self.load('A', r * self.ld + r)}, {splat(1.0)}")
+            self.store(unit, "A", r * self.ld + r)
 
     def few_entries(
         self, r: int, factors: dict[int, str], columns: Iterable[int], own: np.ndarray, slopes: np.ndarray
@@ -144,14 +196,14 @@ class _Chain(Lines):
         for c in columns:
             at, slope = r * self.ld + c, ""
             if own[r, c]:
-                slope = self.load("j", at)
+                slope = self.load("J", at)
             for s, factor in factors.items():
                 if slopes[s, c]:
-                    slope = self.fma(self.load("s", s * self.ld + c), factor, slope or "zeroinitializer")
+                    slope = self.fma(self.load("S", s * self.ld + c), factor, slope or "zeroinitializer")
             if slope:
                 self.entry(at, slope, c == r)
             elif self.start is not None:
-                self.store(splat(1.0) if c == r else "zeroinitializer", "a", at)
+                self.store(splat(1.0) if c == r else "zeroinitializer", "A", at)
 
 
 def splat(value: float) -> str:
@@ -168,22 +220,14 @@ def chain(
     zero. ``start``: A begins with I + w ``start`` S; T is left out where no stage follows, which ``start`` 0 says.
     """
     (nx, nz), slopes = step.shape, slope_pattern(jacobian, stages)
-    o = _Chain(width, ld, start)
-    o.lines += [
-        f"define void @{name}(ptr noalias %J, ptr noalias %S, ptr noalias %T, ptr noalias %A, ptr %C) nounwind {{"
-    ]
-    o.lines += ["entry:", "br label %pass", "pass:", "%lane = phi i64 [0, %entry], [%next, %again]"]
-    o.lines += [f"%{a.lower()} = getelementptr double, ptr %{a}, i64 %lane" for a in "JSTA"]
-    o.lines += ["%pc = getelementptr double, ptr %C, i64 %lane", f"%pw = getelementptr double, ptr %pc, i64 {LANES}"]
-    o.lines += [f"%c = load {o.t}, ptr %pc", f"%w = load {o.t}, ptr %pw"]
+    o = _Chain(name, width, ld, start)
     for r in range(nx):
         columns, factors = np.flatnonzero(step[r] | slopes[r]), o.factors(r, np.flatnonzero(jacobian[r, :nx]))
         if 2 * len(columns) > nz:
             o.full_row(r, factors, nz)
         else:
             o.few_entries(r, factors, map(int, columns), jacobian, slopes)
-    o.lines += [f"%next = add i64 %lane, {width}", f"%done = icmp eq i64 %next, {LANES}", "br label %again", "again:"]
-    return "\n".join([*o.lines, "br i1 %done, label %out, label %pass", "out:", "ret void", "}"])
+    return o.text()
 
 
 def groups_of(offsets: Iterable[int]) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,13 +14,22 @@ import numpy as np
 from wbmpc.errors import KernelError, UnsupportedOperation
 from wbmpc.kernel import blocks, cache, dense
 from wbmpc.kernel.box_rows import emit_add_boxes, emit_box_values
-from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text, vector_budget
+from wbmpc.kernel.codegen_target import compile_module, load_object, register_width, target_text
 from wbmpc.kernel.riccati import emit_curvature_node, emit_riccati_node, emit_step_node
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function, identity_map, unsupported_operation
 from wbmpc.kernel.second_derivatives import SECOND, second_maps
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
 from wbmpc.kernel.sizes import Sizes
-from wbmpc.kernel.sparse_rows import added_groups, emit_add_rows, emit_row_products
+from wbmpc.kernel.sparse_rows import (
+    RowLayout,
+    added_entries,
+    emit_add_gradient,
+    emit_add_rows,
+    emit_node_rows,
+    emit_pulled_rows,
+    emit_row_products,
+    hessian_entry,
+)
 from wbmpc.ocp import Transcription
 
 #: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
@@ -33,8 +42,8 @@ _EIGHT = (
 )  # fmt: skip
 _KERNELS = (
     "riccati_node", "step_node", "curvature_node", "box_values", "box_changes", "add_boxes",
-    "add_rows", "row_products", "chain_first", "chain_next", "pack", "unpack_ab", "unpack_matrix",
-    "unpack_equalities", "unpack_rows",
+    "add_rows", "add_row_gradient", "row_products", "node_rows", "pulled_rows", "chain_first", "chain_next", "pack", "unpack_ab",
+    "unpack_matrix", "unpack_equalities", "unpack_rows",
 )  # fmt: skip
 #: Order of the addresses in :attr:`Kernel.addresses`.
 ADDRESSES = (*_SINGLE, *(f"lanes.{n}" for n in _EIGHT), *_KERNELS)
@@ -92,26 +101,30 @@ def output_maps(functions: dict[str, ca.Function], sizes: Sizes) -> dict[str, Ou
             for q, c in entries("equality_jacobian", 1)
         ],
     ]
-    for name in ("rows_jacobian", "end_rows_jacobian"):
-        maps[name] = [maps[name][0], [[q * lz + extended(c)] for q, c in entries(name, 1)]]
+    layout, name = row_layout(functions, sizes), "rows_jacobian"
+    maps[name] = [maps[name][0], [[layout.places[q, extended(c)]] for q, c in entries(name, 1)]]
+    name = "end_rows_jacobian"
+    maps[name] = [maps[name][0], [[q * lz + extended(c)] for q, c in entries(name, 1)]]
     maps["jump_jacobian"] = [maps["jump_jacobian"][0], [[r * lx + c] for r, c in entries("jump_jacobian", 1)]]
     return {**maps, **second_maps(functions, lz, lx, nx)}
 
 
-def rows_pattern(functions: dict[str, ca.Function], sizes: Sizes) -> list[set[int]]:
-    """The columns of [x, 1, u] with entries, of every general row along the path."""
+def row_layout(functions: dict[str, ca.Function], sizes: Sizes) -> RowLayout:
+    """Where the Jacobian of the general rows along the path is, by [x, 1, u]."""
     pattern: list[set[int]] = [set() for _ in range(sizes.nr)]
     for r, c in zip(*functions["rows_jacobian"].sparsity_out(1).get_triplet(), strict=True):
         pattern[r].add(c if c < sizes.nx else c + 1)
-    return pattern
+    return RowLayout.of(pattern)
 
 
 def matrix_groups(functions: dict[str, ca.Function], maps: dict[str, OutputMap], sizes: Sizes) -> dict[str, list[int]]:
     """For every function of eight nodes that fills a matrix of each node: the matrix's groups with entries. The Hessian's are also those to
     which rows add: they start from zero where the cost has no entries."""
-    outputs = {"cost_quadratic": (1, 2), "equality_jacobian": (0, 1), "rows_jacobian": (1,)}
+    outputs = {"cost_quadratic": (1, 2), "equality_jacobian": (0, 1)}
     found = {n: blocks.groups_of(o for i in which for nz in maps[n][i] for o in nz) for n, which in outputs.items()}
-    added = added_groups(rows_pattern(functions, sizes), sizes.nx, sizes.lz)
+    layout = row_layout(functions, sizes)
+    gradient = {hessian_entry(c, sizes.nx, sizes.lz) for c in layout.columns}
+    added = blocks.groups_of(added_entries(layout, sizes.lz) | gradient)
     return found | {"cost_quadratic": sorted({*found["cost_quadratic"], *added})}
 
 
@@ -121,7 +134,6 @@ def lane_maps(maps: dict[str, OutputMap], groups: dict[str, list[int]]) -> dict[
     pressed = lambda name, i: blocks.compact(maps[name][i], groups[name])
     out["cost_quadratic"] = [[[0]], pressed("cost_quadratic", 1), pressed("cost_quadratic", 2)]
     out["equality_jacobian"] = [pressed("equality_jacobian", i) for i in (0, 1)]
-    out["rows_jacobian"] = [maps["rows_jacobian"][0], pressed("rows_jacobian", 1)]
     return out
 
 
@@ -188,7 +200,21 @@ def _emit_blocks(
         blocks.unpack("unpack_ab", blocks.groups_of(map(int, step)), whole=True),
         blocks.unpack("unpack_matrix", groups["cost_quadratic"]),
         blocks.unpack("unpack_equalities", groups["equality_jacobian"]),
-        blocks.unpack("unpack_rows", groups["rows_jacobian"]),
+        blocks.unpack_values("unpack_rows", sizes.nr),
+        *_emit_rows(row_layout(functions, sizes), groups["cost_quadratic"], lanes["cost_quadratic"], sizes, width),
+    ]
+
+
+def _emit_rows(layout: RowLayout, groups: list[int], cost: OutputMap, sizes: Sizes, width: int) -> list[str]:
+    """What works on the Jacobian of general rows; ``groups``: those of a node's Hessian, ``cost``: where the cost writes in them."""
+    entries = sorted(added_entries(layout, sizes.lz))
+    place = {e: at for e, (at,) in zip(entries, blocks.compact([[e] for e in entries], groups), strict=True)}
+    return [
+        emit_add_rows(layout, place, {at for output in cost[1:] for nz in output for at in nz}, sizes.lz, width),
+        emit_add_gradient(layout, sizes.nx, sizes.lz),
+        emit_row_products(layout, sizes.nx, width),
+        emit_node_rows(layout, sizes.lz),
+        emit_pulled_rows(layout),
     ]
 
 
@@ -216,20 +242,18 @@ def emit_problem(transcription: Transcription) -> tuple[str, Sizes]:
     functions = {**transcription.values, **transcription.derivatives}
     own = (len(transcription.path.general), len(transcription.end.general))
     sizes = Sizes(transcription.nx, transcription.nu, transcription.equality.shape[0], *own)
+    sizes = replace(sizes, row_entries=len(row_layout(functions, sizes).entries))
     maps = output_maps(functions, sizes)
     parts = [DECLARATIONS, dense.FMA, dense.ABSOLUTE]
     parts += [emit_function(functions[n], f"w_{n}", maps[n]) for n in _SINGLE]
     parts += _emit_blocks(transcription, functions, maps, sizes)
-    pattern = rows_pattern(functions, sizes)
     jacobian, equality = functions["dynamics_jacobian"].sparsity_out(1), functions["equality_jacobian"].sparsity_out(1)
     step, held = step_pattern(transcription, jacobian, sizes), equality_inputs(equality, sizes)
     parts += [
         emit_riccati_node(sizes, step, held),
         emit_step_node(sizes, step),
         emit_curvature_node(sizes),
-        emit_add_rows(pattern, sizes.nx, sizes.lz, vector_budget()),
     ]
-    parts.append(emit_row_products(pattern, sizes.lz))
     variables = [v if v < sizes.nx else v + 1 for v in _row_variables(transcription)]
     parts += [emit_box_values(f"box_{n}", sizes.nx, variables, n == "values") for n in ("values", "changes")]
     parts.append(emit_add_boxes("add_boxes", sizes.nx, variables, sizes.lz))

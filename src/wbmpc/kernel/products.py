@@ -36,14 +36,11 @@ def matrix_product(
     return product_of_tiles(name, found, inner, (lda, bj, bk, ldc, ldi), negative)
 
 
-def product_of_tiles(
-    name: str, found: Sequence[Tile], inner: int, strides: Strides, negative: bool = False, weighted: bool = False
-) -> str:
-    """The tiles of C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk]; arguments A, B, C, I, ``weighted``: and W, W[k] times each summand."""
-    weights = ", ptr %W" if weighted else ""
-    o = [f"define void @{name}(ptr %A, ptr %B, ptr %C, ptr %I{weights}) nounwind {{", "entry:", "br label %b0"]
+def product_of_tiles(name: str, found: Sequence[Tile], inner: int, strides: Strides, negative: bool = False) -> str:
+    """The tiles of C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk]; arguments A, B, C, I."""
+    o = [f"define void @{name}(ptr %A, ptr %B, ptr %C, ptr %I) nounwind {{", "entry:", "br label %b0"]
     for number, (rows, columns) in enumerate(found):
-        o += _tile(f"b{number}", rows, columns, inner, strides, negative, weighted)
+        o += _tile(f"b{number}", rows, columns, inner, strides, negative)
         o.append(f"br label %b{number + 1}" if number + 1 < len(found) else "ret void")
     return "\n".join([*o, "}"])
 
@@ -70,8 +67,8 @@ def tiles(rows: Sequence[int], columns: Sequence[int], budget: int) -> list[Tile
 
 
 def _tile(
-    p: str, rows: Sequence[int], columns: Sequence[int], inner: int, strides: Strides, negative: bool, weighted: bool,
-) -> list[str]:  # fmt: skip
+    p: str, rows: Sequence[int], columns: Sequence[int], inner: int, strides: Strides, negative: bool
+) -> list[str]:
     """One tile of a product: all of its sums stay in registers."""
     lda, bj, bk, ldc, ldi = strides
     cells = [(q, i) for q in columns for i in rows]
@@ -90,12 +87,7 @@ def _tile(
     for i in rows:
         o.append(f"%{p}.oa{i} = add i64 %{p}.ka, {8 * i}")
         o.append(f"%{p}.pa{i} = getelementptr double, ptr %A, i64 %{p}.oa{i}")
-        o.append(f"%{p}.{'al' if weighted else 'av'}{i} = load {V}, ptr %{p}.pa{i}, align {ALIGN}")
-    if weighted:
-        o += [f"%{p}.pw = getelementptr double, ptr %W, i64 %{p}.k", f"%{p}.w = load double, ptr %{p}.pw"]
-        o.append(f"%{p}.ew = insertelement {V} poison, double %{p}.w, i32 0")
-        o.append(f"%{p}.vw = shufflevector {V} %{p}.ew, {V} poison, <8 x i32> zeroinitializer")
-        o += [f"%{p}.av{i} = fmul {V} %{p}.al{i}, %{p}.vw" for i in rows]
+        o.append(f"%{p}.av{i} = load {V}, ptr %{p}.pa{i}, align {ALIGN}")
     o.append(f"%{p}.kb = mul i64 %{p}.k, {bk}")
     for q in columns:
         o.append(f"%{p}.ob{q} = add i64 %{p}.kb, {q * bj}")

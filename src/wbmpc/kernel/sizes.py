@@ -11,7 +11,8 @@ from wbmpc.kernel import dense
 class Sizes:
     """Dimensions and padded lengths. The extended node vector is [x (nx), 1, u (nu)].
 
-    ``ng``: rows of the Riccati recursion; ``nr``, ``ne``: general rows with a state of their own, at the path and at the end.
+    ``ng``: rows of the Riccati recursion; ``nr``, ``ne``: general rows with a state of their own, at the path and at the end; ``row_entries``:
+    of the path's general rows, as :mod:`wbmpc.kernel.sparse_rows` keeps their Jacobian.
     """
 
     nx: int
@@ -19,6 +20,7 @@ class Sizes:
     ng: int
     nr: int
     ne: int
+    row_entries: int = 0
 
     @property
     def first(self) -> int:

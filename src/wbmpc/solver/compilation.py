@@ -7,7 +7,7 @@ from wbmpc.kernel.library import Library
 
 LIBRARY = Library("driver", packages=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
 compiled = LIBRARY.compiled
-call2, call3, call4, call5, call7 = (PointerCall(n) for n in (2, 3, 4, 5, 7))
+call2, call3, call4, call5, call6, call7 = (PointerCall(n) for n in (2, 3, 4, 5, 6, 7))
 
 __all__ = [
     "LANES",
@@ -20,6 +20,7 @@ __all__ = [
     "call3",
     "call4",
     "call5",
+    "call6",
     "call7",
     "compiled",
 ]

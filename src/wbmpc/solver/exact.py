@@ -44,8 +44,8 @@ from wbmpc.solver.memory_layout import (
     RES,
     RK4,
     ROW_H,
-    ROW_J,
     ROW_L,
+    ROW_MATRIX,
     ROWS,
     SECOND,
     SIGNED,
@@ -61,6 +61,7 @@ from wbmpc.solver.memory_layout import (
     W,
     X,
 )
+from wbmpc.solver.node_inequalities import node_matrix
 from wbmpc.solver.stages import offset_state, row_index
 
 
@@ -196,7 +197,8 @@ def costate_node(m: Floats, o: Integers, k: int, rows: int) -> None:
     for r in range(nx):
         for i in range(nx + 1 + nu):
             m[gradient + i] += m[ab + r * lz + i] * m[costate + r]
-    add_row_gradient(m, o, k, o[ROW_J] + k * node_general(o, k) * lz, gradient, o[SMALL] + 2)
+    node_matrix(o, k)
+    add_row_gradient(m, o, k, o[ROW_MATRIX], gradient, o[SMALL] + 2)
     least_squares_multipliers(m, o, rows)
     for i in range(nx):
         total = m[gradient + i]
@@ -302,10 +304,3 @@ def exact_node(m: Floats, o: Integers, k: int, matrix: int, rows: int) -> None:
     clear_second(m, o)
     stage_with(o, LAGRANGIAN, x, u, p, o[NU_ROWS], o[SIGNED], o[SECOND])
     add_second(m, o, matrix, o[LZ])
-
-
-@compiled
-def node_general(o: Integers, k: int) -> int:
-    """General rows of node k."""
-    _, _, general = node_rows(o, k)
-    return general

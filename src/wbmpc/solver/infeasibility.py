@@ -56,10 +56,9 @@ from wbmpc.solver.memory_layout import (
     NX,
     PULLED,
     ROW_D,
-    ROW_GENERAL,
     ROW_H,
-    ROW_J,
     ROW_L,
+    ROW_MATRIX,
     ROW_N,
     ROWS,
     STATE,
@@ -75,6 +74,7 @@ from wbmpc.solver.memory_layout import (
     U,
     X,
 )
+from wbmpc.solver.node_inequalities import node_matrix
 from wbmpc.solver.settings import SQP
 from wbmpc.solver.simd_batch import equality_size, load_block, stage_lanes, unpack
 from wbmpc.solver.solution import Status
@@ -124,11 +124,11 @@ def weight(m: Floats, o: Integers, k: int) -> float:
 
 @compiled
 def row_derivative(m: Floats, o: Integers, k: int, j: int, i: int) -> float:
-    """Derivative of row j of node k by entry i of [x, 1, u]."""
+    """Derivative of row j of node k by entry i of [x, 1, u], after :func:`node_matrix`."""
     first, boxes, _ = node_rows(o, k)
     if j < boxes:
         return m[entry(o, RowField.SIGN, first + j)] if o[row_index(o) + first + j] == i else 0.0
-    start = o[ROW_J] + k * o[ROW_GENERAL] * o[LZ] if k < o[N] else o[END_J]
+    start = o[ROW_MATRIX] if k < o[N] else o[END_J]
     return m[start + (j - boxes) * o[LZ] + i]
 
 
@@ -152,6 +152,7 @@ def largest_relative_residual(m: Floats, o: Integers) -> float:
     worst = 0.0
     for k in range(o[N] + 1):
         _, boxes, general = node_rows(o, k)
+        node_matrix(o, k)
         for j in range(boxes + general):
             left = abs(remaining_residual(m, o, k, j))
             if left > 0.0:
@@ -166,6 +167,7 @@ def add_weighted_gradient(m: Floats, o: Integers, k: int) -> None:
     """w Jᵀ r of node k onto the gradient by [x, 1, u] in ``chained``."""
     _, boxes, general = node_rows(o, k)
     size = o[NX] + 1 + o[NU] if k < o[N] else o[NX]
+    node_matrix(o, k)
     for j in range(boxes + general):
         left = weight(m, o, k) * remaining_residual(m, o, k, j)
         if left != 0.0:
@@ -180,6 +182,7 @@ def remove_blocked_part(m: Floats, o: Integers, k: int, largest: float) -> float
     that are not negative. Returns the largest such part, if it is more than ``largest``; which row goes to ``state``."""
     _, boxes, general = node_rows(o, k)
     first, gradient = o[NX] + 1, o[CHAINED]
+    node_matrix(o, k)
     for j in range(boxes + general):
         q = k * o[ROWS] + j
         if not bounds_inputs(m, o, j) or row_penalty(m, o, j) < np.inf or m[o[ROW_H] + q] > DETECTION.at_limit:

@@ -14,7 +14,7 @@ _dimension = {name: i for i, name in enumerate(_w.DIMENSIONS)}
 N, NX, NU, NG, LX, LZ, LG, NP = (_dimension[n] for n in ("n", "nx", "nu", "ng", "lx", "lz", "lg", "np"))
 RK4, PATH_BOXES, END_BOXES = (_dimension[n] for n in ("rk4", "path_boxes", "terminal_boxes"))
 QUATERNIONS, BASE, JUMPS, ALIGN = (_dimension[n] for n in ("quaternions", "base", "jumps", "align"))
-ROW_BOXES, ROW_GENERAL = (_dimension[n] for n in ("row_boxes", "row_general"))
+ROW_BOXES, ROW_GENERAL, ROW_ENTRIES = (_dimension[n] for n in ("row_boxes", "row_general", "row_entries"))
 END_ROW_BOXES, END_ROW_GENERAL = (_dimension[n] for n in ("end_boxes", "end_general"))
 ROWS, ROW_END, ROW_TOTAL = (_dimension[n] for n in ("rows", "row_end", "row_total"))
 EXACT, POLICY, MULTIPLIERS = (_dimension[n] for n in ("exact", "policy", "multipliers"))
@@ -30,7 +30,7 @@ J1, J2, S1, S2, SLOPES, SMALL, BOXES = (_block[n] for n in ("j1", "j2", "s1", "s
 ROW_H, ROW_T, ROW_L, ROW_S = (_block[n] for n in ("rows_h", "rows_t", "rows_l", "rows_s"))
 ROW_C, ROW_E, ROW_D, ROW_N = (_block[n] for n in ("rows_c", "rows_e", "rows_d", "rows_n"))
 ROW_DT, ROW_DS, ROW_Y = (_block[n] for n in ("rows_dt", "rows_ds", "rows_y"))
-ROW_TABLE, ROW_J, ROW_SCALED, END_J = (_block[n] for n in ("row_table", "row_jacobian", "row_scaled", "end_jacobian"))
+ROW_TABLE, ROW_J, ROW_MATRIX, END_J = (_block[n] for n in ("row_table", "row_jacobian", "row_matrix", "end_jacobian"))
 SOFT_RESIDUAL, SOFT_RESIDUAL_STEP = (_block[n] for n in ("soft_residual", "soft_residual_step"))
 ADJOINT, NU_ROWS, SIGNED = (_block[n] for n in ("adjoint", "multiplier", "signed"))
 PULLED, ROW_TRIAL, LANES_OUT = (_block[n] for n in ("pulled", "row_trial", "lanes"))
@@ -38,7 +38,7 @@ NORMAL, SECOND, CHAINED = (_block[n] for n in ("normal", "second", "chained"))
 LANE_X, LANE_NEXT, LANE_U, LANE_P, LANE_SMALL = (_block[f"lane_{n}"] for n in ("x", "next", "u", "p", "small"))
 LANE_F, LANE_S1, LANE_S2, LANE_S3 = (_block[f"lane_{n}"] for n in ("f", "s1", "s2", "s3"))
 LANE_J1, LANE_J2, LANE_J3, LANE_J4 = (_block[f"lane_j{n}"] for n in (1, 2, 3, 4))
-LANE_BARRIER = _block["lane_barrier"]
+LANE_BARRIER, LANE_WEIGHTS, LANE_PULLED = (_block[f"lane_{n}"] for n in ("barrier", "weights", "pulled"))
 LANE_AB, LANE_MATRIX, LANE_E, LANE_ROWS, LANE_VALUES = (
     _block[f"lane_{n}"] for n in ("ab", "matrix", "equalities", "rows", "values")
 )
@@ -154,7 +154,7 @@ LANES_DYNAMICS, LANES_COST, LANES_EQUALITY, LANES_ROWS = (
 LANES_DYNAMICS_J, LANES_COST_Q, LANES_EQUALITY_J, LANES_ROWS_J = (
     _call[f"lanes.{n}"] for n in ("dynamics_jacobian", "cost_quadratic", "equality_jacobian", "rows_jacobian")
 )
-RICCATI, STEP, CURVATURE, CHAIN_FIRST, CHAIN_NEXT, ADD_ROWS, ROW_PRODUCTS, PACK = (
+RICCATI, STEP, CURVATURE, CHAIN_FIRST, CHAIN_NEXT, PACK = (
     _call[n]
     for n in (
         "riccati_node",
@@ -162,12 +162,13 @@ RICCATI, STEP, CURVATURE, CHAIN_FIRST, CHAIN_NEXT, ADD_ROWS, ROW_PRODUCTS, PACK 
         "curvature_node",
         "chain_first",
         "chain_next",
-        "add_rows",
-        "row_products",
         "pack",
     )
 )
 BOX_VALUES, BOX_CHANGES, ADD_BOXES = (_call[n] for n in ("box_values", "box_changes", "add_boxes"))
+ADD_ROWS, ADD_ROW_GRADIENT, ROW_PRODUCTS, NODE_ROWS, PULLED_ROWS = (
+    _call[n] for n in ("add_rows", "add_row_gradient", "row_products", "node_rows", "pulled_rows")
+)
 UNPACK_AB, UNPACK_MATRIX, UNPACK_EQUALITIES, UNPACK_ROWS = (
     _call[f"unpack_{n}"] for n in ("ab", "matrix", "equalities", "rows")
 )

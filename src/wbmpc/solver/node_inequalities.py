@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.barriers import add_square
-from wbmpc.solver.compilation import LANES, Floats, Integers, call3, call5, compiled
+from wbmpc.solver.barriers import INTERVAL, add_square
+from wbmpc.solver.compilation import LANES, Floats, Integers, call2, call3, call4, call5, call6, compiled
 from wbmpc.solver.inequality_algebra import log_of_product, merits, weights
 from wbmpc.solver.inequality_table import (
     eight_rows,
@@ -15,6 +15,7 @@ from wbmpc.solver.inequality_table import (
 )
 from wbmpc.solver.memory_layout import (
     ADD_BOXES,
+    ADD_ROW_GRADIENT,
     ADD_ROWS,
     BASE,
     BOX_CHANGES,
@@ -26,21 +27,34 @@ from wbmpc.solver.memory_layout import (
     END_ROW_VALUES,
     END_ROWS_J,
     GRID,
+    LANE_MATRIX,
+    LANE_PULLED,
+    LANE_SMALL,
+    LANE_U,
+    LANE_VALUES,
+    LANE_WEIGHTS,
+    LANE_X,
     LX,
     LZ,
+    NODE_ROWS,
     NP,
     NU,
     NX,
+    PACK,
     PULLED,
+    PULLED_ROWS,
+    ROW_BOXES,
     ROW_C,
     ROW_D,
     ROW_DS,
     ROW_DT,
     ROW_E,
+    ROW_ENTRIES,
     ROW_GENERAL,
     ROW_H,
     ROW_J,
     ROW_L,
+    ROW_MATRIX,
     ROW_PRODUCTS,
     ROW_S,
     ROW_T,
@@ -50,10 +64,13 @@ from wbmpc.solver.memory_layout import (
     SIGNED,
     SMALL,
     STATE,
+    UNPACK_ROWS,
     N,
     P,
     RowField,
     StateField,
+    U,
+    X,
 )
 from wbmpc.solver.stages import row_index, stage_end
 
@@ -125,28 +142,20 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
 
 
 @compiled
-def add_general(
-    m: Floats, o: Integers, k: int, jacobian: int, offset: int, general: int, w: float, matrix: int, ld: int
-) -> None:
-    """Jᵀ w σ J of general rows (with e in the constant's column) onto a matrix of the extended node vector."""
-    lz, base = o[LZ], o[BASE]
-    if k < o[N]:
-        weights = o[SIGNED]
-        for j in range(0, general, LANES):
-            q = offset + j
-            m[weights + j : weights + j + LANES] = w * m[o[ROW_C] + q : o[ROW_C] + q + LANES]
-        call3(o[ADD_ROWS], base + 8 * jacobian, base + 8 * weights, base + 8 * matrix)
-        return
+def add_end_general(m: Floats, o: Integers, offset: int, general: int, matrix: int, ld: int) -> None:
+    """Jᵀ σ J of the end's general rows, and Jᵀ σ e in the constant's row and column, onto a matrix of [x, 1]."""
+    nx = o[NX]
     for j in range(general):
-        scale, row = w * m[o[ROW_C] + offset + j], jacobian + j * lz
-        for a in range(o[NX] + 1):
-            for b in range(o[NX] + 1):
+        scale, row = m[o[ROW_C] + offset + j], o[END_J] + j * o[LZ]
+        m[row + nx] = m[o[ROW_E] + offset + j]
+        for a in range(nx + 1):
+            for b in range(nx + 1):
                 m[matrix + a * ld + b] += scale * m[row + a] * m[row + b]
 
 
 @compiled
 def add_path_boxes(m: Floats, o: Integers, offset: int, w: float, matrix: int) -> None:
-    """As :func:`add_boxes`, of a node of the path."""
+    """As :func:`add_boxes` of a node of the path, times ``w``."""
     base, signs, weight = o[BASE], entry(o, RowField.SIGN, 0), o[PULLED]
     m[weight] = w
     sigma, e = base + 8 * (o[ROW_C] + offset), base + 8 * (o[ROW_E] + offset)
@@ -154,29 +163,20 @@ def add_path_boxes(m: Floats, o: Integers, offset: int, w: float, matrix: int) -
 
 
 @compiled
-def add_boxes(m: Floats, o: Integers, first: int, offset: int, boxes: int, w: float, matrix: int, ld: int) -> None:
-    """w σ sign² and w σ sign e of the rows of one variable onto a matrix of the extended node vector."""
+def add_boxes(m: Floats, o: Integers, first: int, offset: int, boxes: int, matrix: int, ld: int) -> None:
+    """σ sign² and σ sign e of the end's rows of one variable onto a matrix of [x, 1]."""
     index, signs = row_index(o) + first, entry(o, RowField.SIGN, first)
     for j in range(boxes):
-        slope = w * m[o[ROW_C] + offset + j] * m[signs + j]
+        slope = m[o[ROW_C] + offset + j] * m[signs + j]
         add_square(m, o, matrix, ld, o[index + j], slope * m[signs + j], slope * m[o[ROW_E] + offset + j])
 
 
 @compiled
-def linearize_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, ld: int) -> tuple[float, float]:
-    """σ and e of node k's rows, and their part of the node's Hessian and gradient at ``matrix``: w times (cost, violation).
-
-    The functions of general rows along the path have been called: values in ``small``, Jacobian where it belongs.
-    """
+def weigh_rows(m: Floats, o: Integers, k: int) -> tuple[float, float]:
+    """σ and e of node k's rows, whose values are there: w times (cost, violation)."""
     first, boxes, general = node_rows(o, k)
-    if boxes + general == 0:
-        return 0.0, 0.0
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-    mu, offset, lz = m[o[STATE] + StateField.BARRIER], k * o[ROWS], o[LZ]
-    jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]
-    if general > 0 and k == o[N]:
-        stage_end(o, END_ROWS_J, x, o[P] + k * o[NP], o[SMALL] + 16, jacobian)
-    collect_values(m, o, k, x, u, o[ROW_H] + offset)
+    mu, offset = m[o[STATE] + StateField.BARRIER], k * o[ROWS]
     cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
     for j in range(0, boxes + general, LANES):
         q = offset + j
@@ -193,44 +193,110 @@ def linearize_rows(m: Floats, o: Integers, k: int, x: int, u: int, matrix: int, 
             logs += log_of_product(m, o, product)
             product = np.full(LANES, 1.0)
     logs += log_of_product(m, o, product)
-    if k < o[N]:
-        add_path_boxes(m, o, offset, w, matrix)
-    else:
-        add_boxes(m, o, first, offset, boxes, w, matrix, ld)
-    for j in range(general):
-        m[jacobian + j * lz + o[NX]] = m[o[ROW_E] + offset + boxes + j]
-    if general > 0:
-        add_general(m, o, k, jacobian, offset + boxes, general, w, matrix, ld)
     return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
 
 
 @compiled
+def linearize_rows(m: Floats, o: Integers, first: int, count: int) -> tuple[float, float]:
+    """σ and e of all rows of a block that is loaded, and what its general rows add to the Hessians in ``lane_matrix`` and, in ``lane_pulled``,
+    to the gradients: w times (cost, violation). The functions of general rows have been called."""
+    boxes, general, cost, violation = o[ROW_BOXES], o[ROW_GENERAL], 0.0, 0.0
+    if boxes + general == 0:
+        return 0.0, 0.0
+    at, stride, base = first * o[ROWS] + boxes, 8 * o[ROWS], o[BASE]
+    if general > 0:
+        call4(o[UNPACK_ROWS], base + 8 * o[LANE_VALUES], base + 8 * (o[ROW_H] + at), stride, count - 1)
+    for k in range(first, first + count):
+        evaluate_boxes(m, o, BOX_VALUES, o[X] + k * o[NX], o[U] + k * o[NU], o[ROW_H] + k * o[ROWS])
+        c, v = weigh_rows(m, o, k)
+        cost, violation = cost + c, violation + v
+    if general > 0:
+        groups, sigma = (general + 7) // 8, o[LANE_WEIGHTS]
+        e = sigma + LANES * LANES * groups
+        call5(o[PACK], base + 8 * (o[ROW_C] + at), stride, groups, base + 8 * sigma, count - 1)
+        call5(o[PACK], base + 8 * (o[ROW_E] + at), stride, groups, base + 8 * e, count - 1)
+        call6(
+            o[ADD_ROWS],
+            base + 8 * row_jacobian(o, first),
+            base + 8 * sigma,
+            base + 8 * e,
+            base + 8 * (o[LANE_SMALL] + INTERVAL),
+            base + 8 * o[LANE_MATRIX],
+            base + 8 * o[LANE_PULLED],
+        )
+    return cost, violation
+
+
+@compiled
+def add_rows_of_lane(m: Floats, o: Integers, k: int, lane: int, matrix: int) -> None:
+    """What is left to add of node k's rows onto its Hessian: rows of one variable, and the gradient of general ones."""
+    base = o[BASE]
+    if o[ROW_BOXES] > 0:
+        add_path_boxes(m, o, k * o[ROWS], m[o[LANE_SMALL] + INTERVAL + lane], matrix)
+    if o[ROW_GENERAL] > 0:
+        call2(o[ADD_ROW_GRADIENT], base + 8 * (o[LANE_PULLED] + lane), base + 8 * matrix)
+
+
+@compiled
+def linearize_end_rows(m: Floats, o: Integers, x: int, matrix: int, ld: int) -> tuple[float, float]:
+    """As :func:`linearize_rows`, of the end of the horizon: onto its Hessian."""
+    n = o[N]
+    first, boxes, general = node_rows(o, n)
+    offset = n * o[ROWS]
+    if boxes + general == 0:
+        return 0.0, 0.0
+    if general > 0:
+        stage_end(o, END_ROWS_J, x, o[P] + n * o[NP], o[SMALL] + 16, o[END_J])
+    collect_values(m, o, n, x, x, o[ROW_H] + offset)
+    cost, violation = weigh_rows(m, o, n)
+    add_boxes(m, o, first, offset, boxes, matrix, ld)
+    add_end_general(m, o, offset + boxes, general, matrix, ld)
+    return cost, violation
+
+
+@compiled
+def row_jacobian(o: Integers, k: int) -> int:
+    """Where the Jacobian of the general rows of node k's block is."""
+    return o[ROW_J] + LANES * o[ROW_ENTRIES] * (k // LANES)
+
+
+@compiled
+def node_matrix(o: Integers, k: int) -> None:
+    """The Jacobian of node k's general rows with all columns to ``row_matrix``."""
+    base = o[BASE]
+    if o[ROW_GENERAL] > 0 and k < o[N]:
+        call2(o[NODE_ROWS], base + 8 * (row_jacobian(o, k) + k % LANES), base + 8 * o[ROW_MATRIX])
+
+
+@compiled
+def general_row_changes(m: Floats, o: Integers, first: int, count: int) -> None:
+    """J δz of the general rows of a block into ``rows_d``."""
+    base, step, inputs, out = o[BASE], o[LANE_X], o[LANE_U], o[LANE_VALUES]
+    dx, du = o[DX] + first * o[LX], o[DU] + first * o[NU]
+    call5(o[PACK], base + 8 * dx, 8 * o[LX], (o[NX] + 7) // 8, base + 8 * step, count - 1)
+    call5(o[PACK], base + 8 * du, 8 * o[NU], (o[NU] + 7) // 8, base + 8 * inputs, count - 1)
+    call4(o[ROW_PRODUCTS], base + 8 * row_jacobian(o, first), base + 8 * step, base + 8 * inputs, base + 8 * out)
+    place = o[ROW_D] + first * o[ROWS] + o[ROW_BOXES]
+    call4(o[UNPACK_ROWS], base + 8 * out, base + 8 * place, 8 * o[ROWS], count - 1)
+
+
+@compiled
 def row_changes(m: Floats, o: Integers, k: int) -> None:
-    """J δz of node k's rows into ``rows_d``."""
+    """J δz of node k's rows into ``rows_d``; nodes are asked for one after the other."""
     first, boxes, general = node_rows(o, k)
     dx, du, nx, lz, out = o[DX] + k * o[LX], o[DU] + k * o[NU], o[NX], o[LZ], o[ROW_D] + k * o[ROWS]
     if k < o[N]:
+        if general > 0 and k % LANES == 0:
+            general_row_changes(m, o, k, min(LANES, o[N] - k))
         evaluate_boxes(m, o, BOX_CHANGES, dx, du, out)
-    else:
-        for j in range(boxes):
-            m[out + j] = m[entry(o, RowField.SIGN, first + j)] * m[dx + o[row_index(o) + first + j]]
-    if general > 0 and k < o[N]:
-        step, base = o[PULLED], o[BASE]
+        return
+    for j in range(boxes):
+        m[out + j] = m[entry(o, RowField.SIGN, first + j)] * m[dx + o[row_index(o) + first + j]]
+    for j in range(general):
+        row, total = o[END_J] + j * lz, 0.0
         for i in range(nx):
-            m[step + i] = m[dx + i]
-        m[step + nx] = 0.0
-        for i in range(o[NU]):
-            m[step + nx + 1 + i] = m[du + i]
-        for i in range(nx + 1 + o[NU], lz):
-            m[step + i] = 0.0
-        jacobian = o[ROW_J] + k * o[ROW_GENERAL] * lz
-        call3(o[ROW_PRODUCTS], base + 8 * jacobian, base + 8 * step, base + 8 * (out + boxes))
-    elif general > 0:
-        for j in range(general):
-            row, total = o[END_J] + j * lz, 0.0
-            for i in range(nx):
-                total += m[row + i] * m[dx + i]
-            m[out + boxes + j] = total
+            total += m[row + i] * m[dx + i]
+        m[out + boxes + j] = total
 
 
 @compiled
@@ -245,9 +311,13 @@ def add_rows_product(m: Floats, o: Integers, k: int, w: float) -> None:
         m[out + o[row_index(o) + first + j]] += (
             w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[entry(o, RowField.SIGN, first + j)]
         )
-    size = lz if k < o[N] else o[NX]
     for j in range(general):
-        q = offset + boxes + j
-        row = (o[ROW_J] + k * o[ROW_GENERAL] * lz if k < o[N] else o[END_J]) + j * lz
-        for i in range(size):
-            m[out + i] += w * m[o[ROW_C] + q] * m[o[ROW_D] + q] * m[row + i]
+        m[o[SIGNED] + j] = w * m[o[ROW_C] + offset + boxes + j] * m[o[ROW_D] + offset + boxes + j]
+    if k < o[N] and general > 0:
+        base = o[BASE]
+        jacobian = row_jacobian(o, k) + k % LANES
+        call3(o[PULLED_ROWS], base + 8 * jacobian, base + 8 * o[SIGNED], base + 8 * out)
+        return
+    for j in range(general):
+        for i in range(o[NX]):
+            m[out + i] += m[o[SIGNED] + j] * m[o[END_J] + j * lz + i]

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import Floats, Integers, compiled
+from wbmpc.solver.compilation import Floats, Integers, call2, compiled
 from wbmpc.solver.exact import clear_second, costate_node, stage_with
 from wbmpc.solver.inequality_table import bounds_inputs, entry, node_rows, record_input_violations, row_penalty
 from wbmpc.solver.memory_layout import (
     AB,
+    BASE,
     CHAINED,
     EPS,
     GRID,
@@ -29,6 +30,7 @@ from wbmpc.solver.memory_layout import (
     LANES_ROWS_J,
     LZ,
     NG,
+    NODE_ROWS,
     NONLINEAR_EQUALITIES,
     NP,
     NU,
@@ -39,8 +41,8 @@ from wbmpc.solver.memory_layout import (
     ROW_DT,
     ROW_GENERAL,
     ROW_L,
+    ROW_MATRIX,
     ROW_S,
-    ROW_SCALED,
     ROW_T,
     ROW_TRIAL,
     ROWS,
@@ -49,7 +51,6 @@ from wbmpc.solver.memory_layout import (
     SMALL,
     STATE,
     U_BEST,
-    UNPACK_ROWS,
     UT,
     XT,
     P,
@@ -59,7 +60,7 @@ from wbmpc.solver.memory_layout import (
     X,
 )
 from wbmpc.solver.node_inequalities import collect_values
-from wbmpc.solver.simd_batch import load_block, stage_lanes, take_rows_of_lane, unpack
+from wbmpc.solver.simd_batch import load_block, stage_lanes, take_rows_of_lane
 from wbmpc.solver.stages import row_index
 
 #: Corrections of a node's inputs at most. A circle takes five from three times its radius, rows at acute angles many.
@@ -211,12 +212,12 @@ def add_along(m: Floats, o: Integers, matrix: int, rows: int, along: float) -> N
 # ---------------------------------------------------------------------- inputs within the true rows
 @compiled
 def evaluate_trial(m: Floats, o: Integers, k: int) -> None:
-    """True rows of node k at the trial point: values to ``row_trial``, Jacobians of general ones to ``row_scaled``."""
+    """True rows of node k at the trial point: values to ``row_trial``, Jacobians of general ones to ``row_matrix``."""
     if o[ROW_GENERAL] > 0:
         values = o[LANE_VALUES]
         load_block(m, o, k, 1, o[XT], o[UT])
         stage_lanes(o, LANES_ROWS_J, o[LANE_X], o[LANE_U], values, o[LANE_ROWS], o[LANE_ROWS])
-        unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_SCALED], 0, 1)
+        call2(o[NODE_ROWS], o[BASE] + 8 * o[LANE_ROWS], o[BASE] + 8 * o[ROW_MATRIX])
         take_rows_of_lane(m, o, 0)
     collect_values(m, o, k, o[XT] + k * o[NX], o[UT] + k * o[NU], o[ROW_TRIAL])
 
@@ -249,7 +250,7 @@ def correct(m: Floats, o: Integers, k: int, share: float) -> None:
             if h < 0.0:
                 m[change + i] += (share * inside(m, o, k, j) - h) / sign
     for j in range(general):
-        row, h, square = o[ROW_SCALED] + j * o[LZ], m[o[ROW_TRIAL] + boxes + j], 0.0
+        row, h, square = o[ROW_MATRIX] + j * o[LZ], m[o[ROW_TRIAL] + boxes + j], 0.0
         if not held(m, o, boxes + j):
             continue
         for i in range(first, first + nu):

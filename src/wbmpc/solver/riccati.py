@@ -30,7 +30,6 @@ from wbmpc.solver.memory_layout import (
     GRID,
     LANE_E,
     LANE_MATRIX,
-    LANE_ROWS,
     LANE_SMALL,
     LANE_U,
     LANE_VALUES,
@@ -51,7 +50,6 @@ from wbmpc.solver.memory_layout import (
     PULLED,
     RICCATI,
     ROW_GENERAL,
-    ROW_J,
     SCRATCH,
     SMALL,
     SOFT_RESIDUAL,
@@ -60,7 +58,6 @@ from wbmpc.solver.memory_layout import (
     TERMINAL,
     UNPACK_EQUALITIES,
     UNPACK_MATRIX,
-    UNPACK_ROWS,
     VALUE,
     E,
     G,
@@ -72,7 +69,13 @@ from wbmpc.solver.memory_layout import (
     U,
     X,
 )
-from wbmpc.solver.node_inequalities import add_rows_product, linearize_rows
+from wbmpc.solver.node_inequalities import (
+    add_rows_of_lane,
+    add_rows_product,
+    linearize_end_rows,
+    linearize_rows,
+    row_jacobian,
+)
 from wbmpc.solver.nonlinear_input_constraints import add_curvature
 from wbmpc.solver.simd_batch import (
     equality_size,
@@ -80,7 +83,6 @@ from wbmpc.solver.simd_batch import (
     load_block,
     single_lane,
     stage_lanes,
-    take_rows_of_lane,
     unpack,
 )
 from wbmpc.solver.stages import stage_end
@@ -90,10 +92,10 @@ MIN_SLOPE = 1e-3
 
 
 @compiled
-def linearize_block(m: Floats, o: Integers, first: int, count: int, slot: int) -> None:
-    """Dynamics, cost, equality rows and general rows of ``count`` ≤ 8 nodes from ``first`` on; Hessians into the buffers from
-    ``slot`` on, equality rows into their eight. What is left to do is :func:`finish_node`."""
-    nx, nu, lz, values = o[NX], o[NU], o[LZ], o[LANE_VALUES]
+def linearize_block(m: Floats, o: Integers, first: int, count: int, slot: int) -> tuple[float, float]:
+    """Dynamics, cost, equality rows and inequality rows of ``count`` ≤ 8 nodes from ``first`` on; Hessians into the buffers from
+    ``slot`` on, equality rows into their eight. What is left to do is :func:`finish_node`. Returns (cost, violation) of the inequality rows."""
+    nx, nu, lz = o[NX], o[NU], o[LZ]
     size, x, u = (nx + 1 + nu) * lz, o[LANE_X], o[LANE_U]
     matrix = o[H] + slot * size
     load_block(m, o, first, count, o[X], o[U])
@@ -103,25 +105,27 @@ def linearize_block(m: Floats, o: Integers, first: int, count: int, slot: int) -
         for i in range(count * size):
             m[matrix + i] = 0.0
     stage_lanes(o, LANES_COST_Q, x, u, o[LANE_SMALL] + LANE_COST, o[LANE_MATRIX], o[LANE_MATRIX])
+    if o[ROW_GENERAL] > 0:
+        jacobian = row_jacobian(o, first)
+        stage_lanes(o, LANES_ROWS_J, x, u, o[LANE_VALUES], jacobian, jacobian)
+    row_cost, violation = linearize_rows(m, o, first, count)
     unpack(o, UNPACK_MATRIX, o[LANE_MATRIX], matrix, size, count)
     if o[PATH_BOXES] > 0:
         barrier_lanes(m, o, True)
     if o[NG] > 0:
         stage_lanes(o, LANES_EQUALITY_J, x, u, o[LANE_E], o[LANE_E], o[LANE_E])
         unpack(o, UNPACK_EQUALITIES, o[LANE_E], o[E], equality_size(o), count)
-    if o[ROW_GENERAL] > 0:
-        stage_lanes(o, LANES_ROWS_J, x, u, values, o[LANE_ROWS], o[LANE_ROWS])
-        rows = o[ROW_GENERAL] * lz
-        unpack(o, UNPACK_ROWS, o[LANE_ROWS], o[ROW_J] + first * rows, rows, count)
+    m[o[STATE] + StateField.ROW_COST] += row_cost
+    return row_cost, violation
 
 
 @compiled
-def finish_node(m: Floats, o: Integers, k: int, lane: int, slot: int) -> tuple[float, float, float, float]:
-    """What the block's functions do not do of node k: limits, gradient, shift, sums: (cost, gap, violation of equalities, of
-    rows). The rows' part of the cost is also added up in ``state``.
+def finish_node(m: Floats, o: Integers, k: int, lane: int, slot: int) -> tuple[float, float, float]:
+    """What the block's functions do not do of node k: limits, gradient, shift, sums: (cost, gap, violation of equalities). The part of
+    soft equalities in the cost is also added up in ``state``.
     """
     nx, nu, lz = o[NX], o[NU], o[LZ]
-    x, u, small = o[X] + k * nx, o[U] + k * nu, o[LANE_SMALL]
+    small = o[LANE_SMALL]
     matrix, gradient = o[H] + slot * (nx + 1 + nu) * lz, o[G] + k * lz
     ab, rows = o[AB] + k * (nx + 1) * lz + nx, o[E] + lane * equality_size(o)
     h, gap, violation = m[small + INTERVAL + lane], 0.0, 0.0
@@ -134,8 +138,8 @@ def finish_node(m: Floats, o: Integers, k: int, lane: int, slot: int) -> tuple[f
         gap += abs(m[ab + i * lz])
     for i in range(nx + 1, nx + 1 + nu):
         m[gradient + i] = m[matrix + i * lz + nx]
-    take_rows_of_lane(m, o, lane)
-    row_cost, row_violation = linearize_rows(m, o, k, x, u, matrix, lz)
+    add_rows_of_lane(m, o, k, lane, matrix)
+    soft_cost = 0.0
     shift = m[o[STATE] + StateField.SHIFT]
     if shift > 0.0:
         for i in range(nx + 1 + nu):
@@ -145,14 +149,14 @@ def finish_node(m: Floats, o: Integers, k: int, lane: int, slot: int) -> tuple[f
         if m[o[EPS] + q] > MIN_SOFTNESS:
             e, r = m[rows + q * lz + nx], m[o[SOFT_RESIDUAL] + k * o[NG] + q]
             m[o[STATE] + StateField.SOFT_EQUALITY_VIOLATION] += abs(e) - abs(e - r)
-            row_cost += 0.5 * r * r / m[o[EPS] + q]
+            soft_cost += 0.5 * r * r / m[o[EPS] + q]
     if o[EXACT] > 0:
         single_lane(m, o, lane)
         exact_node(m, o, k, matrix, rows)
     elif o[NONLINEAR_INPUT_ROWS] + o[NONLINEAR_EQUALITIES] > 0:
         add_curvature(m, o, k, matrix, rows)
-    m[o[STATE] + StateField.ROW_COST] += row_cost
-    return cost + row_cost, gap, violation, row_violation
+    m[o[STATE] + StateField.ROW_COST] += soft_cost
+    return cost + soft_cost, gap, violation
 
 
 @compiled
@@ -168,7 +172,7 @@ def linearize_end(m: Floats, o: Integers) -> tuple[float, float]:
     for i in range(nx):
         m[o[G] + n * o[LZ] + i] = m[end + nx * lx + i]
     cost = m[o[SMALL]] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], x, x)
-    row_cost, violation = linearize_rows(m, o, n, x, x, end, lx)
+    row_cost, violation = linearize_end_rows(m, o, x, end, lx)
     m[o[STATE] + StateField.ROW_COST], m[o[STATE] + StateField.SOFT_EQUALITY_VIOLATION] = row_cost, 0.0
     if o[EXACT] > 0:
         exact_end(m, o, end)
@@ -193,11 +197,12 @@ def backward(m: Floats, o: Integers, keep: bool) -> tuple[float, float, float, f
     for block in range((o[N] - 1) // LANES, -1, -1):
         start = block * LANES
         count, slot = min(LANES, o[N] - start), start if keep else 0
-        linearize_block(m, o, start, count, slot)
+        c, v = linearize_block(m, o, start, count, slot)
+        cost, rows = cost + c, rows + v
         for lane in range(count - 1, -1, -1):
             k = start + lane
-            c, g, v, r = finish_node(m, o, k, lane, slot + lane)
-            cost, gaps, violations, rows = cost + c, gaps + g, violations + v, rows + r
+            c, g, v = finish_node(m, o, k, lane, slot + lane)
+            cost, gaps, violations = cost + c, gaps + g, violations + v
             call7(
                 o[RICCATI],
                 base + 8 * (o[AB] + k * (nx + 1) * lz),

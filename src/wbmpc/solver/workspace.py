@@ -51,6 +51,7 @@ DIMENSIONS = (
     "base",
     "row_boxes",  # rows with a state of their own: of single variables, general; along the path, at the end
     "row_general",
+    "row_entries",  # of their Jacobian, as it is kept
     "end_boxes",
     "end_general",
     "rows",  # entries for them per node, a multiple of eight
@@ -105,8 +106,8 @@ BLOCKS = (
     "rows_ds",
     "rows_y",  # ν − l, kept apart: it is tiny where the L1 slack is large
     "row_table",  # (6, path rows, then end rows, each up to a multiple of eight): see memory_layout.py
-    "row_jacobian",  # (N, nr, lz)
-    "row_scaled",  # (nr, lz)
+    "row_jacobian",  # (blocks of eight nodes, entries, 8): see wbmpc.kernel.sparse_rows
+    "row_matrix",  # (nr, lz): of one node
     "end_jacobian",  # (ne, lz)
     "grid_base",  # (N + 1,) the problem's own; ``grid`` may have nodes moved onto events
     "grid_old",
@@ -139,7 +140,9 @@ BLOCKS = (
     "lane_ab",
     "lane_matrix",  # (nz, lz, 8), only the groups with entries
     "lane_equalities",
-    "lane_rows",
+    "lane_rows",  # (entries, 8): the Jacobian of rows at trial points
+    "lane_weights",  # (2, general rows, 8): their σ and e
+    "lane_pulled",  # (nz, 8): Jᵀ w σ e
     "lane_barrier",  # (nz, 2, 8): slope and curvature of the relaxed barriers by variable
     "lane_values",  # (equalities or general rows, 8)
 )
@@ -233,7 +236,9 @@ def _lane_shapes(s: Sizes, parameters: int, rk4: bool) -> dict[str, tuple[int, .
         **{f"lane_{name}": s.nx * s.lz * rk4 for name in ("j3", "j4", "s3")},
         "lane_matrix": s.nz * s.lz,
         "lane_equalities": pad(s.equality_buffer()),
-        "lane_rows": s.nr * s.lz,
+        "lane_rows": s.row_entries,
+        "lane_weights": 2 * pad(s.nr),
+        "lane_pulled": s.nz,
         "lane_barrier": 2 * s.nz,
         "lane_values": max(s.ng, s.nr),
     }
@@ -275,8 +280,8 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "small": (16 + max(s.ng, s.nr, s.ne),),
         "boxes": (max(barriers, 1), 4),
         "row_table": (6, max(path + end, 1)),
-        "row_jacobian": (n, max(s.nr, 1), s.lz) if s.nr else (1,),
-        "row_scaled": (max(s.nr, 1), s.lz),
+        "row_jacobian": (-(-n // LANES), max(s.row_entries, 1), LANES),
+        "row_matrix": (max(s.nr, 1), s.lz),
         "end_jacobian": (max(s.ne, 1), s.lz),
         "grid_base": (n + 1,),
         "grid_old": (n + 1,),
@@ -346,7 +351,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
     dimensions = [
         problem.ocp.intervals, s.nx, s.nu, s.ng, s.lx, s.lz, s.lg, shapes["p"][1], problem.ocp.integrator == "rk4",
         len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
-        len(problem.path.boxes), len(problem.path.general), len(problem.end.boxes), len(problem.end.general),
+        len(problem.path.boxes), len(problem.path.general), s.row_entries, len(problem.end.boxes), len(problem.end.general),
         shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
         problem.nonlinear_input_rows, problem.nonlinear_equalities, problem.soft_equalities, any(r.kind != Kind.HARD for r in rows),
     ]  # fmt: skip
