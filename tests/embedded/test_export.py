@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import wbmpc as wb
-from clearing import keep_clear, reach_problem, write_arm
 from command_line import call
 from effort import draws, thorough
 from exported import LOWER, PERIOD, UPPER, Controller, trolley
@@ -219,15 +218,6 @@ def test_the_check_passes_and_finds_another_controller(done: Export) -> None:
     other = trolley()
     other.solver.set_weight("state", [11.0, 1.0])
     assert not checks.check(done, other, updates=15).passed
-
-
-def test_rows_that_keep_clear_are_not_left_out_silently(tmp_path: Path) -> None:
-    """Their nearest points come from Python: the exported controller went on as if there were no obstacle."""
-    robot = wb.load_robot(write_arm(tmp_path))
-    ocp = reach_problem(robot)
-    keep_clear(ocp, wb.residuals.SelfClearance(robot, [("foot", "fore")], margin=0.02))
-    with pytest.raises(InputError, match="nearest points are sought in Python"):
-        wb.export(wb.MPC(ocp), tmp_path)
 
 
 class Cautious(wb.MPC):

@@ -13,7 +13,7 @@ from clearing import TrueDistance, keep_clear, reach_problem, run, write_arm
 from wbmpc.bases import base_type
 from wbmpc.bases.swerve.system import make_mpc
 from wbmpc.clearance.rows import Clearance
-from wbmpc.mpc.clearance import braking_plan, braking_time
+from wbmpc.mpc.braking import braking_plan, braking_time
 
 CYLINDER, BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
 MARGIN = 0.03
@@ -210,7 +210,7 @@ def test_a_stop_takes_as_long_as_the_limits_say_and_ends_at_rest(tmp_path: Path)
     u = np.array([1.5, 0.0, -0.6])
     duration = braking_time(mpc.ocp.dynamics, robot, robot.home, u)
     assert duration == pytest.approx(1.5 / 6.0)
-    plan = braking_plan(mpc.solver, robot, robot.home, u, mpc.ocp.grid, duration)
+    plan = braking_plan(mpc.solver, robot.home, u, mpc.ocp.grid, duration)
     np.testing.assert_allclose(plan.x[-1] - robot.home, [1.5**2 / 12, 0.0, -0.6 * 1.5 / 12], atol=1e-9)
     assert not plan.u[mpc.ocp.grid[:-1] >= 0.25].any()
 

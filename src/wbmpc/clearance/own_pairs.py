@@ -149,7 +149,9 @@ class OwnPairs:
         #: links in whose axes pairs are compared: no joint above them moves one against the other
         tops = [common_link(robot, frames[a].link, frames[b].link) for a, b in pairs]
         links = sorted(set(tops))
-        self._poses = CompiledFunction(frame_function(robot, [*frames, *link_frames(links)]))
+        #: the poses of frames and links, of a state of the robot
+        self.poses = frame_function(robot, [*frames, *link_frames(links)])
+        self._poses = CompiledFunction(self.poses)
         self._frames = len(frames) + len(links)
         of = [geometry.fixed_to(f) for f in geometry.frames]
         listed = np.array([(r, i, j) for r, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]], np.int64)
@@ -164,23 +166,28 @@ class OwnPairs:
         """Addresses do not leave their process."""
         return OwnPairs, self._made_of
 
-    def _allocate(self, n: int) -> None:
-        shapes, frames, rows, pairs = (
-            len(self._table.arrays["frame_of"]), self._frames, self.rows, len(self._index["row_of"]),
-        )  # fmt: skip
-        own = len(self._table.geometry.frames)
+    def memory(self, n: int) -> tuple[dict[str, np.ndarray], dict[str, int | float]]:
+        """Arrays for n states, and numbers, by the names of the arguments of :func:`measure` and :func:`fill`."""
+        frames, rows, own = self._frames, self.rows, len(self._table.geometry.frames)
+        shapes, pairs = len(self._table.arrays["frame_of"]), len(self._index["row_of"])
         zeros = lambda *shape: np.zeros((n, *shape))
-        self._states, self.distance, self.parameters = zeros(self._nx), zeros(rows), zeros(rows * SELF_WIDTH)
         arrays = {
-            **self._table.arrays, **self._index, "states": self._states, "poses": zeros(frames, 12),
+            **self._table.arrays, **self._index, **hull_arrays(), "states": zeros(self._nx), "poses": zeros(frames, 12),
             "table": np.zeros(2, np.int64), "position": zeros(own, 3), "rotation": zeros(own, 9), "place": zeros(shapes, 3),
-            "axes": zeros(shapes, 9), "distance": self.distance, "normal": zeros(rows, 3), "own": zeros(rows, 3), "other": zeros(rows, 3),
-            **hull_arrays(), "parameters": self.parameters, "margins": self._margins,
+            "axes": zeros(shapes, 9), "distance": zeros(rows), "normal": zeros(rows, 3), "own": zeros(rows, 3),
+            "other": zeros(rows, 3), "parameters": zeros(rows * SELF_WIDTH), "margins": self._margins,
         }  # fmt: skip
-        counts: dict[str, Any] = {"n": n, "all_frames": frames, "rows": rows, "reach": self._reach}
-        self._measure: Step = bind(
-            measure, arrays, address=self._poses.address, nx=self._nx, frames=own, shapes=shapes, pairs=pairs, **counts
-        )  # fmt: skip
+        numbers: dict[str, int | float] = {
+            "n": n, "all_frames": frames, "rows": rows, "reach": self._reach, "nx": self._nx, "frames": own, "shapes": shapes,
+            "pairs": pairs,
+        }  # fmt: skip
+        return arrays, numbers
+
+    def _allocate(self, n: int) -> None:
+        arrays, numbers = self.memory(n)
+        self._states, self.distance, self.parameters = arrays["states"], arrays["distance"], arrays["parameters"]
+        self._measure: Step = bind(measure, arrays, address=self._poses.address, **numbers)
+        counts = {name: numbers[name] for name in ("n", "all_frames", "rows", "reach")}
         self._fill: Step = bind(fill, arrays, **counts)
 
     def measure(self, states: Array) -> None:

@@ -10,13 +10,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from wbmpc.checks import whole_number
+from wbmpc.clearance import compilation as nearest_points
+from wbmpc.embedded import keeps_clear
 from wbmpc.embedded.image import Export, Image, check_exportable, make_image
-from wbmpc.embedded.interface import interface, public_names
+from wbmpc.embedded.interface import POSES, interface, public_names
 from wbmpc.embedded.texts import write_texts
 from wbmpc.errors import InputError, KernelError
 from wbmpc.kernel.codegen_target import Target, find_target, generating_for, register_width
 from wbmpc.kernel.compiled import emit_problem
 from wbmpc.kernel.object_file import Symbols, link, symbols
+from wbmpc.kernel.scalar import DECLARATIONS, emit_function
 from wbmpc.mpc.mpc import MPC
 from wbmpc.output_file import whole_file
 from wbmpc.solver import compilation, controller, feedback
@@ -136,7 +139,11 @@ def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
     with generating_for(target):
         problem, _ = emit_problem(mpc.solver.problem)
         features = _features(target, register_width())
-        libraries = [library.optimized() for library in (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)]
+        used, more = [compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY], []
+        if image.poses is not None:
+            used += [nearest_points.LIBRARY, keeps_clear.LIBRARY]
+            more.append("\n".join([DECLARATIONS, emit_function(image.poses, POSES)]))
+        libraries = [*more, *(library.optimized() for library in used)]
     magic = int.from_bytes(
         hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
     )
