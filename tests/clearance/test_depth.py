@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
-
 from test_nearest import by_mujoco, drawn, rotation
+
 from effort import draws
 from wbmpc.clearance.depth_step import Hull, depth, hull_arrays, write_depth
 from wbmpc.clearance.pairs_step import Gaps, gap

@@ -58,7 +58,7 @@ steps = st.lists(
 def test_it_does_what_python_does_to_the_last_bit(pair: tuple[wb.MPC, Controller], course: list) -> None:
     """Through changes of references, modes and weights, states that nobody can be in, plans that are kept, and resets."""
     mpc, made = pair
-    start, t, policy = np.array([0.1, 0.0]), 0.0, None
+    start, t, policy, figures = np.array([0.1, 0.0]), 0.0, None, np.empty(len(Figure))
     mpc.reset(start)
     assert made("reset", start, np.zeros(2)) == Result.OK
     for word, pushed, dt in course:
@@ -72,6 +72,11 @@ def test_it_does_what_python_does_to_the_last_bit(pair: tuple[wb.MPC, Controller
             assert found == Result.NO_PLAN
             return
         assert found == (Result.KEPT if mpc.statistics.failures > failures else Result.OK)
+        assert made("figures", figures) == Result.OK
+        assert (
+            figures[Figure.EXTENDED] == mpc.statistics.extended
+            and figures[Figure.ITERATIONS] == mpc.solve_info["iterations"]
+        )
         for at in (t, t + 0.03, t + 0.4, policy.end + 1.0):
             _compare(policy, made, at, np.array(pushed))
 

@@ -342,13 +342,14 @@ def update(
     refused = admit(c, count, start, t, x)
     if refused < 0:
         return refused
+    started = count[Count.STARTED] > 0
     count[Count.ITERATIONS] = 0
     known = iterate(c, w, parts, places, solids, gaps, hull, count, start, t, first, period)
-    if not known and count[Count.STARTED] == 0:
+    if not known and not started:
         restart(c, start, room)
         known = iterate(c, w, parts, places, solids, gaps, hull, count, start, t, first, period)
     count[Count.STARTED], c.value[Value.START] = 1, t
-    found = conclude(c, plan, offsets, count, start, room, t, known)
+    found = conclude(c, plan, offsets, count, start, room, t, started, known)
     if found == 0:
         c.value[Value.CLEARANCE] = clearance(c, w, parts, places, solids, gaps, hull)
     return found

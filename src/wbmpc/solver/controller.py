@@ -26,6 +26,7 @@ from wbmpc.solver.memory_layout import (
     K,
     N,
     P,
+    Setting,
     StateField,
     U,
     W,
@@ -81,6 +82,7 @@ class Count(IntEnum):
     CUT = 8  # how often a policy was cut to the limits
     EVENTS_WITHOUT_NODE = 9  # of the last update's horizon
     BRAKING_PLANS = 10  # plans that were replaced by one that stops
+    EXTENDED = 11  # updates beside the first that took more than twice the iterations asked for
 
 
 class Value(IntEnum):
@@ -276,10 +278,12 @@ def admit(c: Loop, count: Integers, start: Floats, t: float, x: Floats) -> int:
 
 @compiled
 def conclude(
-    c: Loop, plan: Plan, offsets: Offsets, count: Integers, start: Floats, room: Floats, t: float, known: bool
-) -> int:
-    """What an update from ``start`` comes to after its solves; ``known``: their numbers stayed finite."""
+    c: Loop, plan: Plan, offsets: Offsets, count: Integers, start: Floats, room: Floats, t: float, started: bool, known: bool
+) -> int:  # fmt: skip
+    """What an update from ``start`` comes to after its solves; ``started``: they went on from others; ``known``: their numbers stayed
+    finite."""
     m, o, status = c.m, c.o, count[Count.STATUS]
+    count[Count.EXTENDED] += 1 if started and count[Count.ITERATIONS] > 2 * int(c.settings[Setting.ITERATIONS]) else 0
     count[Count.EVENTS_WITHOUT_NODE] = events_without_node(m, o, c.numbers, c.integers, t)
     count[Count.BROKEN] = 0 if known else count[Count.BROKEN] + 1
     usable = known and status != INPUT_INFEASIBLE and status != EQUALITY_INFEASIBLE
@@ -309,8 +313,9 @@ def update(
     refused = admit(c, count, start, t, x)
     if refused < 0:
         return refused
+    started = count[Count.STARTED] > 0
     known = find_plan(c, count, start, room, t, first, period)
-    return conclude(c, plan, offsets, count, start, room, t, known)
+    return conclude(c, plan, offsets, count, start, room, t, started, known)
 
 
 @compiled
