@@ -139,11 +139,12 @@ def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
     with generating_for(target):
         problem, _ = emit_problem(mpc.solver.problem)
         features = _features(target, register_width())
-        used, more = [compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY], []
+        used = [compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY]
         if image.poses is not None:
             used += [nearest_points.LIBRARY, keeps_clear.LIBRARY]
-            more.append("\n".join([DECLARATIONS, emit_function(image.poses, POSES)]))
-        libraries = [*more, *(library.optimized() for library in used)]
+        libraries: list[str | bytes] = [library.optimized() for library in used]
+        if image.poses is not None:
+            libraries.append("\n".join([DECLARATIONS, emit_function(image.poses, POSES)]))
     magic = int.from_bytes(
         hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
     )

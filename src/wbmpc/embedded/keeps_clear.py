@@ -339,9 +339,9 @@ def update(
     count: Integers, start: Floats, room: Floats, first: int, period: float, t: float, x: Floats,
 ) -> int:  # fmt: skip
     """As :func:`wbmpc.solver.controller.update`."""
-    refused = admit(c, count, start, t, x)
-    if refused < 0:
-        return refused
+    admitted = admit(c, count, start, t, x)
+    if admitted < 0:
+        return admitted
     started = count[Count.STARTED] > 0
     count[Count.ITERATIONS] = 0
     known = iterate(c, w, parts, places, solids, gaps, hull, count, start, t, first, period)

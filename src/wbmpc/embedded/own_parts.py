@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,7 @@ from wbmpc.mpc.clearance import BARRIER_SHARE, BRAKING_SOLVES, FIRST_BARRIER
 from wbmpc.mpc.mpc import MPC
 from wbmpc.solver.memory_layout import ALIGN, GRID, GRID_BASE, GRID_OLD, N
 
-_RECORDS = {"parts": Parts, "places": Places, "solids": Solids, "gaps": Gaps, "hull": Hull}
+_RECORDS: dict[str, Any] = {"parts": Parts, "places": Places, "solids": Solids, "gaps": Gaps, "hull": Hull}
 #: What of these is written.
 _WRITTEN = frozenset((*Places._fields, *Gaps._fields, *Hull._fields))
 

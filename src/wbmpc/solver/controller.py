@@ -310,9 +310,9 @@ def update(
     x: Floats,
 ) -> int:
     """A new plan from the state ``x`` at time ``t``."""
-    refused = admit(c, count, start, t, x)
-    if refused < 0:
-        return refused
+    admitted = admit(c, count, start, t, x)
+    if admitted < 0:
+        return admitted
     started = count[Count.STARTED] > 0
     known = find_plan(c, count, start, room, t, first, period)
     return conclude(c, plan, offsets, count, start, room, t, started, known)
