@@ -14,6 +14,7 @@ import pytest
 
 import wbmpc as wb
 from clearing import TrueDistance, keep_clear, reach_problem, write_arm
+from effort import thorough
 from exported import Controller
 from wbmpc.default_problem import default_problem, default_settings, make_mpc
 from wbmpc.embedded import check as checks
@@ -133,3 +134,62 @@ def test_rows_around_obstacles_are_an_error_that_names_them(tmp_path: Path) -> N
     with pytest.raises(InputError, match="terms one, two keep parts of the robot apart; valid: one SelfClearance"):
         wb.export(wb.MPC(ocp), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+STACK = """#include "bot.h"
+#include <pthread.h>
+#include <stdio.h>
+#include <string.h>
+static bot b;
+static unsigned char stack[1 << 20] __attribute__((aligned(4096)));
+static double x[BOT_NX], u[BOT_NU];
+static void *nothing(void *a) { return a; }
+static void *run(void *a)
+{
+    int k;
+    for (k = 0; k < 5; k++) {
+        x[0] += 0.05;
+        bot_update(&b, 0.02 * k, x);
+        bot_policy(&b, 0.02 * k, x, u);
+    }
+    return a;
+}
+static long used(void *(*what)(void *))
+{
+    pthread_attr_t how;
+    pthread_t thread;
+    long i = 0;
+    memset(stack, 0xA5, sizeof stack);
+    pthread_attr_init(&how);
+    pthread_attr_setstack(&how, stack, sizeof stack);
+    pthread_create(&thread, &how, what, 0);
+    pthread_join(thread, 0);
+    while (stack[i] == 0xA5) i++;
+    return (long)sizeof stack - i;
+}
+int main(void)
+{
+    int i;
+    bot_create(&b, sizeof b);
+    for (i = 0; i < BOT_NX && scanf("%lf", &x[i]) == 1; i++) {}
+    printf("%ld %ld\\n", used(nothing), used(run));
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("name", ["swerve-ur10", pytest.param("pr2", marks=thorough)])
+def test_the_header_says_how_much_stack_is_needed(name: str, tmp_path: Path) -> None:
+    """Truth: what a thread writes to of a stack that is filled with a pattern, less what one takes that does nothing."""
+    robot, settings = wb.load_robot(name), default_settings()
+    mpc = make_mpc(default_problem(robot, settings), settings)
+    mpc.reference["end_effector"] = wb.Reference.poses([0.0], *robot.pose(robot.home))
+    mpc.reset(robot.home)
+    done = wb.export(mpc, tmp_path, prefix="bot")
+    (tmp_path / "stack.c").write_text(STACK)
+    subprocess.run(["cc", "stack.c", "bot.o", "-lm", "-lpthread", "-o", "stack"], cwd=tmp_path, check=True)
+    given = " ".join(map(repr, robot.home.tolist()))
+    found = subprocess.run([str(tmp_path / "stack")], input=given, capture_output=True, text=True, check=True).stdout
+    idle, used = map(int, found.split())
+    assert 65536 < used - idle < done.stack < 1.5 * used
+    assert f"{done.stack // 1024} KiB of stack are enough" in (tmp_path / "bot.h").read_text()

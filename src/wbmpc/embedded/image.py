@@ -76,6 +76,8 @@ class Export:
     object_size: int
     symbols: Symbols
     image: Image
+    #: of the calling thread [bytes]
+    stack: int
 
     @property
     def block_size(self) -> int:

@@ -39,8 +39,6 @@ FIGURES = {
     Figure.EXTENDED: "updates that took more than twice the iterations asked for: limits cut their steps, or a stop was planned",
     Figure.CLEARANCE: "[m] between the two parts of the robot that lack most of their margin; infinite: none are near",
 }
-#: Of the calling thread [bytes], measured and rounded up.
-STACK = 65536
 
 
 def write_texts(done: Export, mpc: MPC, target: Target) -> None:
@@ -123,7 +121,7 @@ def header(done: Export, mpc: MPC, target: Target) -> str:
     }  # fmt: skip
     calls = [f"/* {call.text.replace(chr(10), chr(10) + '   ')} */\n{declaration(call, p)};\n" for call in CALLS]
     return f"""/* A receding-horizon controller, written by wbmpc {__version__} for {target.cpu} ({target.triple}).
- * One thread at a time may be in a block. No function allocates memory or blocks; {STACK // 1024} KiB of stack are enough. */
+ * One thread at a time may be in a block. No function allocates memory or blocks; {done.stack // 1024} KiB of stack are enough. */
 #ifndef {upper}_H
 #define {upper}_H
 #include <stddef.h>
@@ -240,7 +238,7 @@ def _readme(done: Export, target: Target) -> str:
 | --- | --- |
 | object file | `{p}.o`, {done.object_size / 1000:.0f} kB, for `{target.cpu}` ({target.triple}), position-independent |
 | block | {done.block_size / 1000:.0f} kB at a multiple of 64 bytes, `sizeof({p})` |
-| stack | {STACK // 1024} KiB |
+| stack | {done.stack // 1024} KiB |
 | from elsewhere | {needs} (libm and the C library's copies of memory) |
 
 `{p}_create`, then in every period `{p}_update` with the measured state, and `{p}_policy` as often as inputs are needed. A result
