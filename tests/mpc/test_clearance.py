@@ -233,6 +233,20 @@ def test_what_stands_in_the_way_at_once_is_answered_by_a_stop(tmp_path: Path) ->
     assert policy.state(1.0)[0] <= x[0] + 1.5**2 / 12 + 0.01
 
 
+def test_a_stop_is_forgotten_with_its_plan(tmp_path: Path) -> None:
+    """After a reset stops take as long as limits say; they took 10 ms, the rest of the one that had begun."""
+    robot = wb.load_robot(write_arm(tmp_path))
+    mpc = reaching(robot, robot.pose(robot.home)[0], wb.Obstacles())
+    mpc.update(wb.Observation(0.0, robot.home))
+    rows = mpc._clear
+    rows._stops_at, rows._search = 0.3, (0.2, 1)
+    mpc.reset(robot.home)
+    mpc.update(wb.Observation(1.0, robot.home))
+    rows._solver.ws.u[:] = [1.5, 0.0, 0.0]
+    assert rows._braking(1.02, robot.home, 0.02)[0] == pytest.approx(1.5 / 6.0)
+    assert rows._search is None
+
+
 def test_what_does_not_fit_is_named(tmp_path: Path) -> None:
     robot = wb.load_robot(write_arm(tmp_path))
     ocp = reach_problem(robot)

@@ -247,6 +247,7 @@ def solve_clear(
     """See :meth:`wbmpc.mpc.clearance.ClearanceRows.solve`: whether a stop is the result."""
     m, o = c.m, c.o
     if count[Count.STARTED] == 0 or w.balances > 0:
+        w.guard[Guard.STOPS_AT], w.guard[Guard.SEARCH_AT] = np.inf, np.inf
         run(c, w, parts, places, solids, gaps, hull, count, x, c.settings, t, delta, passes)
         return False
     duration = braking(c, w, x, t, delta)

@@ -124,6 +124,7 @@ class ClearanceRows:
         """
         self.update_snapshot(t)
         if delta is None or self.robot.base.balances:
+            self._stops_at = self._search = None  # of plans that are forgotten
             run(delta or 0.0, passes)
             self.measure(t)
             return None
