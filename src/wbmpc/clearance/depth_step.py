@@ -19,6 +19,8 @@ CORNERS = 80
 FACES = 2 * CORNERS
 #: A face that is so near [m] to the difference is one of it; corners so far [m] beyond a face see it.
 ENOUGH, BEYOND = 1e-7, 1e-11
+#: Steps after that, where it is round.
+POLISHED = 60
 #: Where the numbers of an axis of a point begin.
 X, Y, Z = 0, 1, 2
 
@@ -198,13 +200,41 @@ def across_lines(
 
 
 @compiled
+def polish(
+    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, work: Floats
+) -> float:
+    """Of round solids, whose difference the polytope has not reached: turn ``Work.V`` by steps down the gradient, whose lengths follow from
+    whether the depth falls."""
+    p, last, trial, v = hull.corner, 3 * (CORNERS - 2), CORNERS - 1, int(Work.V)
+    x, y, z = -work[v], -work[v + 1], -work[v + 2]
+    deep = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=CORNERS - 2, x=x, y=y, z=z)
+    step = 1.0 / max(deep, ENOUGH)
+    for _ in range(POLISHED):
+        gx, gy, gz = p[last] - deep * x, p[last + 1] - deep * y, p[last + 2] - deep * z
+        tx, ty, tz = x - step * gx, y - step * gy, z - step * gz
+        length = np.sqrt(tx * tx + ty * ty + tz * tz)
+        tx, ty, tz = tx / length, ty / length, tz / length
+        found = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=trial, x=tx, y=ty, z=tz)
+        if found >= deep:
+            step *= 0.25
+            continue
+        step, deep, x, y, z = 2.0 * step, found, tx, ty, tz
+        for c in range(3):
+            p[last + c], hull.corner_own[last + c] = p[3 * trial + c], hull.corner_own[3 * trial + c]
+    work[v], work[v + 1], work[v + 2] = -x, -y, -z
+    for c in range(3):
+        work[Work.AT + c] = hull.corner_own[last + c]
+    return deep
+
+
+@compiled
 def expand(
     solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, work: Floats
 ) -> float:
     """How deep two cores are inside of each other [m], of which one at least has a volume: ``Work.V`` becomes the direction in which the
     first one comes out soonest, ``Work.AT`` its deepest point, from its center."""
     faces, plane, v = start_hull(solids, a, b, pa, pb, place, axes, hull), hull.plane, int(Work.V)
-    found, deep = nearest_face(hull, faces), 0.0
+    found, deep, reached = nearest_face(hull, faces), 0.0, False
     for new in range(4, CORNERS):
         x, y, z = plane[4 * found], plane[4 * found + 1], plane[4 * found + 2]
         deep = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=new, x=x, y=y, z=z)
@@ -213,10 +243,13 @@ def expand(
             j = hull.face[3 * found + c]
             for i in range(3):
                 work[3 * c + i], work[Work.OWN + 3 * c + i] = hull.corner[3 * j + i], hull.corner_own[3 * j + i]
-        if deep - plane[4 * found + 3] <= ENOUGH or faces + 3 > FACES:
+        reached = deep - plane[4 * found + 3] <= ENOUGH
+        if reached or faces + 3 > FACES:
             break
         faces = grow(hull, faces, new)
         found = nearest_face(hull, faces)
+    if not reached:
+        return polish(solids, a, b, pa, pb, place, axes, hull, work)
     first, second, third = triangle(work, 0, 1, 2)
     for i in range(3):
         at = first * work[Work.OWN + i] + second * work[Work.OWN + 3 + i] + third * work[Work.OWN + 6 + i]
