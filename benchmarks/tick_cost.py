@@ -54,7 +54,7 @@ def run(name: str, ticks: int, extra: int) -> dict[str, Any]:
         mpc.advance(Observation(i * PERIOD, x))
         rows.append((*mpc.solver.effort, 1e3 * mpc.solve_time))
         says = mpc.fault or ("a planned state is outside a limit" if mpc.solver.limit_violation else "")
-        said.append(says.split(":")[0])
+        said.append(says.split(":")[0] or ("more than twice the iterations" if mpc.extended else ""))
         share = PERIOD / (plan.grid[1] - plan.grid[0])
         x = (1.0 - share) * plan.x[0] + share * plan.x[1] + NOISE * PERIOD * rng.normal(size=x.size)
     costs = np.array(rows)[1:]  # the first plan takes many calls

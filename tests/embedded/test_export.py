@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import wbmpc as wb
-from clearing import keep_clear, reach_problem, write_arm
 from command_line import call
 from effort import draws, thorough
 from exported import LOWER, PERIOD, UPPER, Controller, trolley
@@ -59,7 +58,7 @@ steps = st.lists(
 def test_it_does_what_python_does_to_the_last_bit(pair: tuple[wb.MPC, Controller], course: list) -> None:
     """Through changes of references, modes and weights, states that nobody can be in, plans that are kept, and resets."""
     mpc, made = pair
-    start, t, policy = np.array([0.1, 0.0]), 0.0, None
+    start, t, policy, figures = np.array([0.1, 0.0]), 0.0, None, np.empty(len(Figure))
     mpc.reset(start)
     assert made("reset", start, np.zeros(2)) == Result.OK
     for word, pushed, dt in course:
@@ -73,6 +72,11 @@ def test_it_does_what_python_does_to_the_last_bit(pair: tuple[wb.MPC, Controller
             assert found == Result.NO_PLAN
             return
         assert found == (Result.KEPT if mpc.statistics.failures > failures else Result.OK)
+        assert made("figures", figures) == Result.OK
+        assert (
+            figures[Figure.EXTENDED] == mpc.statistics.extended
+            and figures[Figure.ITERATIONS] == mpc.solve_info["iterations"]
+        )
         for at in (t, t + 0.03, t + 0.4, policy.end + 1.0):
             _compare(policy, made, at, np.array(pushed))
 
@@ -219,15 +223,6 @@ def test_the_check_passes_and_finds_another_controller(done: Export) -> None:
     other = trolley()
     other.solver.set_weight("state", [11.0, 1.0])
     assert not checks.check(done, other, updates=15).passed
-
-
-def test_rows_that_keep_clear_are_not_left_out_silently(tmp_path: Path) -> None:
-    """Their nearest points come from Python: the exported controller went on as if there were no obstacle."""
-    robot = wb.load_robot(write_arm(tmp_path))
-    ocp = reach_problem(robot)
-    keep_clear(ocp, wb.residuals.SelfClearance(robot, [("foot", "fore")], margin=0.02))
-    with pytest.raises(InputError, match="nearest points are sought in Python"):
-        wb.export(wb.MPC(ocp), tmp_path)
 
 
 class Cautious(wb.MPC):

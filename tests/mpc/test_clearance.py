@@ -13,7 +13,7 @@ from clearing import TrueDistance, keep_clear, reach_problem, run, write_arm
 from wbmpc.bases import base_type
 from wbmpc.bases.swerve.system import make_mpc
 from wbmpc.clearance.rows import Clearance
-from wbmpc.mpc.clearance import braking_plan, braking_time
+from wbmpc.mpc.braking import braking_plan, braking_time
 
 CYLINDER, BOX = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
 MARGIN = 0.03
@@ -210,7 +210,7 @@ def test_a_stop_takes_as_long_as_the_limits_say_and_ends_at_rest(tmp_path: Path)
     u = np.array([1.5, 0.0, -0.6])
     duration = braking_time(mpc.ocp.dynamics, robot, robot.home, u)
     assert duration == pytest.approx(1.5 / 6.0)
-    plan = braking_plan(mpc.solver, robot, robot.home, u, mpc.ocp.grid, duration)
+    plan = braking_plan(mpc.solver, robot.home, u, mpc.ocp.grid, duration)
     np.testing.assert_allclose(plan.x[-1] - robot.home, [1.5**2 / 12, 0.0, -0.6 * 1.5 / 12], atol=1e-9)
     assert not plan.u[mpc.ocp.grid[:-1] >= 0.25].any()
 
@@ -231,6 +231,20 @@ def test_what_stands_in_the_way_at_once_is_answered_by_a_stop(tmp_path: Path) ->
     # either way the robot stops within its limits
     assert abs(policy(0.48 + 0.35)[0]) < 0.05
     assert policy.state(1.0)[0] <= x[0] + 1.5**2 / 12 + 0.01
+
+
+def test_a_stop_is_forgotten_with_its_plan(tmp_path: Path) -> None:
+    """After a reset stops take as long as limits say; they took 10 ms, the rest of the one that had begun."""
+    robot = wb.load_robot(write_arm(tmp_path))
+    mpc = reaching(robot, robot.pose(robot.home)[0], wb.Obstacles())
+    mpc.update(wb.Observation(0.0, robot.home))
+    rows = mpc._clear
+    rows._stops_at, rows._search = 0.3, (0.2, 1)
+    mpc.reset(robot.home)
+    mpc.update(wb.Observation(1.0, robot.home))
+    rows._solver.ws.u[:] = [1.5, 0.0, 0.0]
+    assert rows._braking(1.02, robot.home, 0.02)[0] == pytest.approx(1.5 / 6.0)
+    assert rows._search is None
 
 
 def test_what_does_not_fit_is_named(tmp_path: Path) -> None:

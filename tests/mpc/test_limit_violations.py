@@ -124,6 +124,21 @@ def test_plans_that_start_elsewhere_are_counted() -> None:
     assert whole.statistics.initial_state_mismatches == 0 and whole.statistics.worst_initial_state_mismatch == 0.0
 
 
+@pytest.mark.parametrize("settings", [None, NEVER_MORE])
+def test_updates_that_cost_more_than_twice_as_much_say_so(settings: SQP | None) -> None:
+    """Truth: linearizations of each, counted by the solver; the first plan does not count."""
+    mpc, x, said, counted = MPC(trolley(), settings, first_iterations=10), np.zeros(2), [], []
+    mpc.reset(x)
+    for k in range(60):
+        x = x + np.array([0.0, 1.5]) * (k == 10)
+        policy = mpc.update(Observation(0.02 * k, x))
+        said.append(mpc.solve_info["extended"])
+        counted.append(k > 0 and mpc.solver.effort.directions > 2)
+        x = mpc.solver.simulate(x, policy.u[0], 0.02)
+    assert said == counted and mpc.statistics.extended == sum(counted)
+    assert counted[10] == (settings is None)
+
+
 def runner_of(settings: SQP | None = None) -> tuple[RealTimeRunner, list[float]]:
     """Real time on a virtual clock, knocked after 0.96 s; and how far policies in force pass limits, at every tick."""
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.clearance.compilation import compiled, step
+from wbmpc.clearance.depth_step import Hull, depth, hull_arrays, write_depth
 from wbmpc.clearance.pairs_step import Gaps, bound, gap, place_solids, write_gap
 from wbmpc.clearance.simplex_step import Work
 from wbmpc.clearance.support_step import Solids
@@ -41,7 +42,7 @@ class Parts(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where these are at n states, and which pairs touch."""
+    """Where these are at n states."""
 
     poses: Floats  # (n, all_frames, 12), position [m] and rotation
     table: Integers  # (2), addresses of the function's argument and result
@@ -49,45 +50,43 @@ class Places(NamedTuple):
     rotation: Floats  # (n, frames, 3, 3)
     place: Floats  # (n, shapes, 3) [m]
     axes: Floats  # (n, shapes, 3, 3)
-    touching: Integers  # (n · pairs)
 
 
 @compiled
-def nearest_own(n: int, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, work: Floats) -> int:
-    """Of the pairs of a robot's own solids, each of one of the rows, what is nearer than the ``distance`` (n, rows) of ``gaps`` on entry.
-    How many touch: their numbers k · pairs + pair are in ``touching``."""
-    place, axes, touching = at_states.place, at_states.axes, at_states.touching
-    shapes, rows, pairs, touch = parts.shapes, parts.rows, parts.pairs, 0
-    for j in range(pairs):
+def nearest_own(n: int, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, hull: Hull, work: Floats) -> None:
+    """Of the pairs of a robot's own solids, each of one of the rows, what is nearer than the ``distance`` (n, rows) of ``gaps`` on entry."""
+    place, axes, shapes, rows = at_states.place, at_states.axes, parts.shapes, parts.rows
+    for j in range(parts.pairs):
         a, b = parts.one[j], parts.two[j]
         for c in range(3):
             work[Work.V + c] = 0.0
         for k in range(n):
             i = k * rows + parts.row_of[j]
             limit = gaps.distance[i]
-            pa, pb = k * shapes + a, k * shapes + b
-            if bound(solids, a, b, place, 3 * pa, axes, 9 * pa, place, 3 * pb, limit) >= limit:
+            pa, pb = 3 * (k * shapes + a), 3 * (k * shapes + b)
+            if bound(solids, a, b, place, pa, axes, 3 * pa, place, pb, limit) >= limit:
                 continue
-            if bound(solids, b, a, place, 3 * pb, axes, 9 * pb, place, 3 * pa, limit) >= limit:
+            if bound(solids, b, a, place, pb, axes, 3 * pb, place, pa, limit) >= limit:
                 continue
             d = gap(
-                solids, a, b, place=place, pa=3 * pa, axes=axes, ra=9 * pa, others=place, pb=3 * pb, turns=axes, rb=9 * pb, limit=limit,
+                solids, a, b, place=place, pa=pa, axes=axes, ra=3 * pa, others=place, pb=pb, turns=axes, rb=3 * pb, limit=limit,
                 work=work,
             )  # fmt: skip
             if d == -np.inf:
-                touching[touch] = k * pairs + j
-                touch += 1
+                d = depth(solids, a, b, pa, pb, place, axes, hull, work)
+                if d < limit:
+                    write_depth(solids, gaps, a, place, pa, d, i, work)
+                for c in range(3):
+                    work[Work.V + c] = 0.0
             elif d < limit:
-                write_gap(solids, gaps, a, b, place, 3 * pa, d, i, work)
-    return touch
+                write_gap(solids, gaps, a, b, place, pa, d, i, work)
 
 
 @step
 def measure(
-    n: int, reach: float, states: Floats, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, work: Floats
-) -> int:
-    """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`nearest_own` within
-    ``reach`` [m]: how many pairs touch."""
+    n: int, reach: float, states: Floats, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, hull: Hull, work: Floats
+) -> None:  # fmt: skip
+    """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`nearest_own` within ``reach`` [m]."""
     address, nx, all_frames, frames, shapes, rows = (
         parts.address, parts.nx, parts.all_frames, parts.frames, parts.shapes, parts.rows,
     )  # fmt: skip
@@ -107,7 +106,7 @@ def measure(
     )
     for i in range(n * rows):
         gaps.distance[i] = reach
-    return nearest_own(n, parts, at_states, solids, gaps, work)
+    nearest_own(n, parts, at_states, solids, gaps, hull, work)
 
 
 @step
@@ -150,7 +149,9 @@ class OwnPairs:
         #: links in whose axes pairs are compared: no joint above them moves one against the other
         tops = [common_link(robot, frames[a].link, frames[b].link) for a, b in pairs]
         links = sorted(set(tops))
-        self._poses = CompiledFunction(frame_function(robot, [*frames, *link_frames(links)]))
+        #: the poses of frames and links, of a state of the robot
+        self.poses = frame_function(robot, [*frames, *link_frames(links)])
+        self._poses = CompiledFunction(self.poses)
         self._frames = len(frames) + len(links)
         of = [geometry.fixed_to(f) for f in geometry.frames]
         listed = np.array([(r, i, j) for r, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]], np.int64)
@@ -165,25 +166,28 @@ class OwnPairs:
         """Addresses do not leave their process."""
         return OwnPairs, self._made_of
 
-    def _allocate(self, n: int) -> None:
-        shapes, frames, rows, pairs = (
-            len(self._table.arrays["frame_of"]), self._frames, self.rows, len(self._index["row_of"]),
-        )  # fmt: skip
-        own = len(self._table.geometry.frames)
+    def memory(self, n: int) -> tuple[dict[str, np.ndarray], dict[str, int | float]]:
+        """Arrays for n states, and numbers, by the names of the arguments of :func:`measure` and :func:`fill`."""
+        frames, rows, own = self._frames, self.rows, len(self._table.geometry.frames)
+        shapes, pairs = len(self._table.arrays["frame_of"]), len(self._index["row_of"])
         zeros = lambda *shape: np.zeros((n, *shape))
-        self._states, self.distance, self.parameters = zeros(self._nx), zeros(rows), zeros(rows * SELF_WIDTH)
-        self._normal, self._own, self._other = (zeros(rows, 3) for _ in range(3))
-        self._place, self._axes, self._touching = zeros(shapes, 3), zeros(shapes, 9), np.zeros(n * pairs, np.int64)
         arrays = {
-            **self._table.arrays, **self._index, "states": self._states, "poses": zeros(frames, 12),
-            "table": np.zeros(2, np.int64), "position": zeros(own, 3), "rotation": zeros(own, 9), "place": self._place,
-            "axes": self._axes, "distance": self.distance, "normal": self._normal, "own": self._own, "other": self._other,
-            "touching": self._touching, "parameters": self.parameters, "margins": self._margins,
+            **self._table.arrays, **self._index, **hull_arrays(), "states": zeros(self._nx), "poses": zeros(frames, 12),
+            "table": np.zeros(2, np.int64), "position": zeros(own, 3), "rotation": zeros(own, 9), "place": zeros(shapes, 3),
+            "axes": zeros(shapes, 9), "distance": zeros(rows), "normal": zeros(rows, 3), "own": zeros(rows, 3),
+            "other": zeros(rows, 3), "parameters": zeros(rows * SELF_WIDTH), "margins": self._margins,
         }  # fmt: skip
-        counts: dict[str, Any] = {"n": n, "all_frames": frames, "rows": rows, "reach": self._reach}
-        self._measure: Step = bind(
-            measure, arrays, address=self._poses.address, nx=self._nx, frames=own, shapes=shapes, pairs=pairs, **counts
-        )  # fmt: skip
+        numbers: dict[str, int | float] = {
+            "n": n, "all_frames": frames, "rows": rows, "reach": self._reach, "nx": self._nx, "frames": own, "shapes": shapes,
+            "pairs": pairs,
+        }  # fmt: skip
+        return arrays, numbers
+
+    def _allocate(self, n: int) -> None:
+        arrays, numbers = self.memory(n)
+        self._states, self.distance, self.parameters = arrays["states"], arrays["distance"], arrays["parameters"]
+        self._measure: Step = bind(measure, arrays, address=self._poses.address, **numbers)
+        counts = {name: numbers[name] for name in ("n", "all_frames", "rows", "reach")}
         self._fill: Step = bind(fill, arrays, **counts)
 
     def measure(self, states: Array) -> None:
@@ -191,16 +195,5 @@ class OwnPairs:
         if len(states) != len(self._states):
             self._allocate(len(states))
         self._states[:] = states[:, : self._nx]
-        touch = self._measure()
-        if touch:
-            self._settle(touch)
+        self._measure()
         self._fill()
-
-    def _settle(self, touch: int) -> None:
-        found = self._touching[:touch]
-        n, (row, one, two) = len(self._states), (self._index[k] for k in ("row_of", "one", "two"))
-        k, pair = np.unravel_index(found, (n, len(row)))
-        self._table.settle(
-            (self.distance, self._normal, self._own, self._other), self._place, self._axes.reshape(n, -1, 3, 3), k, row[pair],
-            one[pair], two[pair],
-        )  # fmt: skip

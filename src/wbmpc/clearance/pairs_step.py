@@ -65,7 +65,8 @@ def gap(
     solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, turns: Floats,
     rb: int, limit: float, work: Floats,
 ) -> float:  # fmt: skip
-    """Distance [m] of solids ``a`` and ``b``, or ``limit`` where it is not less; minus infinity where their cores touch.
+    """Distance [m] of solids ``a`` and ``b``, or ``limit`` where it is not less; minus infinity where their cores touch: ``AT`` is then where
+    cores without a volume do.
 
     Their centers and axes begin at ``place[pa]``, ``axes[ra]`` and ``others[pb]``, ``turns[rb]``. ``work``: what
     :class:`~wbmpc.clearance.simplex_step.Work` says; of a distance below ``limit`` ``V`` and ``AT`` are those of the cores.
@@ -85,6 +86,7 @@ def gap(
         count = reduce(work, count + 1)
         found = work[Work.FOUND] ** 2 + work[Work.FOUND + 1] ** 2 + work[Work.FOUND + 2] ** 2
         if count == 0 or found < TOUCH * TOUCH:
+            take_found(work, count)
             for c in range(3):
                 work[Work.V + c] = 0.0
             return -np.inf

@@ -273,9 +273,10 @@ class SelfRows:
         #: of each pair [m]
         self.margins = np.array(term.margins)
         self.pairs = [(geometry.frames.index(a), geometry.frames.index(b)) for a, b in term.pairs or ()]
-        self._own = OwnPairs(geometry, self.pairs, SELF_REACH + float(self.margins.max()), self.margins)
+        #: their nearest points
+        self.own = OwnPairs(geometry, self.pairs, SELF_REACH + float(self.margins.max()), self.margins)
         self._states = geometry.robot.home[None].copy()
-        self._own.measure(self._states)
+        self.own.measure(self._states)
 
     @property
     def size(self) -> int:
@@ -287,13 +288,13 @@ class SelfRows:
         and after its solve, each time for several things."""
         if not np.array_equal(states, self._states):
             self._states = states.copy()
-            self._own.measure(states)
-        return self._own.distance
+            self.own.measure(states)
+        return self.own.distance
 
     def refresh(self, states: Array) -> Array:
         """Parameters (n, size · :data:`~wbmpc.ocp.clearance_residuals.SELF_WIDTH`) for predicted ``states`` (n, nx)."""
         self.measure(states)
-        return self._own.parameters.copy()
+        return self.own.parameters.copy()
 
     def clearance(self, times: Array, states: Array) -> Clearance:
         """The least distance of a plan, states (n, nx) at ``times`` (n) [s]."""

@@ -127,18 +127,6 @@ class SolidTable:
                     self._deep(out, at, shape, s + other, place[node, shape] - places[node, other])
         return out._replace(compared=int(compared))
 
-    def settle(
-        self, found: tuple[Array, Array, Array, Array], place: Array, axes: Array, nodes: Ints, rows: Ints, first: Ints, second: Ints
-    ) -> None:  # fmt: skip
-        """Measure pairs ``first``, ``second`` (p) of the robot's solids that touch at ``nodes`` (p), and write what is deeper to the ``rows``
-        (p) of distance (n, r), normal, own and other points (n, r, 3). Solids at ``place`` (n, s, 3) with ``axes`` (n, s, 3, 3)."""
-        out = Found(*found, 0)
-        for node in np.unique(nodes):
-            self._collider.place(place[node], axes[node])
-            for j in np.flatnonzero(nodes == node):
-                a, b = int(first[j]), int(second[j])
-                self._deep(out, (int(node), int(rows[j])), a, b, place[node, a] - place[node, b])
-
     def _deep(self, out: Found, at: tuple[int, ...], a: int, b: int, apart: Array) -> None:
         """A pair that touches, where it is deeper than what was found at an entry; ``apart``: its direction where points show none."""
         d = self._collider.distance(a, b, float(out.distance[at]))

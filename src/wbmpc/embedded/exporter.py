@@ -10,13 +10,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from wbmpc.checks import whole_number
+from wbmpc.clearance import compilation as nearest_points
+from wbmpc.embedded import keeps_clear
 from wbmpc.embedded.image import Export, Image, check_exportable, make_image
-from wbmpc.embedded.interface import interface, public_names
+from wbmpc.embedded.interface import POSES, interface, public_names
 from wbmpc.embedded.texts import write_texts
 from wbmpc.errors import InputError, KernelError
 from wbmpc.kernel.codegen_target import Target, find_target, generating_for, register_width
 from wbmpc.kernel.compiled import emit_problem
-from wbmpc.kernel.object_file import Symbols, link, symbols
+from wbmpc.kernel.object_file import Symbols, largest_frame, link, symbols
+from wbmpc.kernel.scalar import DECLARATIONS, emit_function
 from wbmpc.mpc.mpc import MPC
 from wbmpc.output_file import whole_file
 from wbmpc.solver import compilation, controller, feedback
@@ -91,6 +94,8 @@ ALLOWED = frozenset(
 )  # fmt: skip
 
 
+#: Stack [bytes] of all functions that call each other down to the problem's, measured and rounded up; and what is asked for at least.
+ROW_OF_CALLS, SMALLEST_STACK = 24576, 65536
 #: Samples of a reference at most: the block of memory has room for all of them.
 MAX_SAMPLES = 100_000
 
@@ -121,7 +126,7 @@ def export(
         raise InputError(f"export: '{folder}' cannot be made ({error.strerror})") from error
     with whole_file(folder / f"{prefix}.o") as path:
         path.write_bytes(code)
-    done = Export(folder, prefix, target, len(code), found, image)
+    done = Export(folder, prefix, target, len(code), found, image, stack_needed(code))
     write_texts(done, mpc, chosen)
     return done
 
@@ -132,11 +137,21 @@ def files(prefix: str, checked: bool = False) -> tuple[str, ...]:
     return (f"{prefix}.o", f"{prefix}.h", "example.c", "CMakeLists.txt", "README.md", *records)
 
 
+def stack_needed(code: bytes) -> int:
+    """Stack [bytes] of the thread that calls the functions of an object: a row of functions of ours, then the problem's largest one."""
+    return max(SMALLEST_STACK, -(-(ROW_OF_CALLS + largest_frame(code)) // 16384) * 16384)
+
+
 def _object(mpc: MPC, image: Image, target: Target, prefix: str) -> bytes:
     with generating_for(target):
         problem, _ = emit_problem(mpc.solver.problem)
         features = _features(target, register_width())
-        libraries = [library.optimized() for library in (compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY)]
+        used = [compilation.LIBRARY, feedback.LIBRARY, controller.LIBRARY]
+        if image.poses is not None:
+            used += [nearest_points.LIBRARY, keeps_clear.LIBRARY]
+        libraries: list[str | bytes] = [library.optimized() for library in used]
+        if image.poses is not None:
+            libraries.append("\n".join([DECLARATIONS, emit_function(image.poses, POSES)]))
     magic = int.from_bytes(
         hashlib.sha256(problem.encode() + image.words().tobytes()).digest()[:8], "little", signed=True
     )

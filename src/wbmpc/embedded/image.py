@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from wbmpc.embedded.own_parts import OwnParts, own_parts
 from wbmpc.errors import InputError
 from wbmpc.kernel.object_file import Symbols
 from wbmpc.mpc.input_rows import InputRows
@@ -44,6 +46,8 @@ class Image:
     references: list[Group]
     weights: list[Group]
     modes: list[str]
+    #: of robots that keep their own parts apart: the poses of their frames
+    poses: ca.Function | None = None
 
     def offsets(self) -> dict[str, int]:
         """Where the areas begin [8 bytes]; behind them, under the name "end", the size of the block. The first word says whose it is."""
@@ -72,6 +76,8 @@ class Export:
     object_size: int
     symbols: Symbols
     image: Image
+    #: of the calling thread [bytes]
+    stack: int
 
     @property
     def block_size(self) -> int:
@@ -100,6 +106,8 @@ def make_image(mpc: MPC, samples: int) -> Image:
         "o": workspace.table, "numbers": tables.numbers, "integers": tables.integers, "log": zeros(solver.log.size),
         "m": workspace.memory,
     }  # fmt: skip
+    areas["value"][Value.CLEARANCE] = np.inf
+    apart = own_parts(mpc) if mpc._clear.within else OwnParts()
     groups = [(name, part) for name, part in problem.constant.slices.items() if part.stop > part.start]
     follow = _follow(mpc)
     slots = list(problem.references.slices)
@@ -117,10 +125,10 @@ def make_image(mpc: MPC, samples: int) -> Image:
         "max_events": max(samples, len(solver.schedule.events)),
     }  # fmt: skip
     own = [Group(name, i, width) for i, (name, width) in enumerate(zip(slots, widths, strict=True))]
-    last = _followed(mpc)
+    set_here = {*_followed(mpc), *mpc._clear.within}
     return Image(
-        areas, constants, numbers, [g for g in own if g.name not in last],
-        [Group(name, i, part.stop - part.start) for i, (name, part) in enumerate(groups)], [m.name for m in modes],
+        areas | apart.areas, constants | apart.constants, numbers | apart.numbers, [g for g in own if g.name not in set_here],
+        [Group(name, i, part.stop - part.start) for i, (name, part) in enumerate(groups)], [m.name for m in modes], apart.poses,
     )  # fmt: skip
 
 
@@ -146,6 +154,8 @@ def _follow(mpc: MPC) -> np.ndarray:
 
 def _capacity(mpc: MPC, name: str, samples: int) -> int:
     known = mpc.solver.references.get(name)
+    if name in mpc._clear.within:
+        return len(mpc.ocp.grid)
     return max(samples, 2, 0 if known is None else known.times.size)
 
 
@@ -200,9 +210,14 @@ def check_exportable(mpc: object) -> None:
         raise InputError(
             "export: paths are expanded in Python before every solve; valid: problems without wbmpc.WithPath"
         )
-    if mpc._clear.active:
+    if mpc._clear.around:
         raise InputError(
-            "export: nearest points are sought in Python before every solve; valid: problems without Clearance and SelfClearance"
+            f"export: term '{next(iter(mpc._clear.around))}' keeps clear of obstacles, whose nearest points are sought in Python before every"
+            " solve; valid: problems without Clearance (SelfClearance, FloorClearance and rows of your own are exported)"
+        )
+    if len(mpc._clear.within) > 1:
+        raise InputError(
+            f"export: the terms {', '.join(mpc._clear.within)} keep parts of the robot apart; valid: one SelfClearance with all pairs"
         )
     if mpc.solver.kernel is None:
         raise InputError(

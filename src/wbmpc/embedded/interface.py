@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from wbmpc.embedded import keeps_clear
 from wbmpc.embedded.image import Image
 from wbmpc.kernel.compiled import SYMBOLS
 from wbmpc.kernel.ir import INTS, NUM, NUMS
@@ -19,6 +20,8 @@ from wbmpc.solver.workspace import ADDRESSES
 
 _LLVM = {"double": "double", "int": "i32"}
 _PUBLIC = "public."
+#: The function that gives the poses of a robot's frames.
+POSES, POSES_ADDRESS = "poses", "parts.address"
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,13 @@ CALLS = (
 )  # fmt: skip
 
 
+def calls(image: Image) -> list[Call]:
+    """The functions of a controller: where a robot keeps its own parts apart, an update sees to that."""
+    if image.poses is None:
+        return list(CALLS)
+    return [replace(call, function=keeps_clear.update) if call.name == "update" else call for call in CALLS]
+
+
 def _c_name(parameter: Sequence[str]) -> str:
     return parameter[1].split("[")[0]
 
@@ -99,9 +109,11 @@ def interface(image: Image, prefix: str, magic: int, features: Sequence[str] | N
     is looked at (None: nothing)."""
     size = image.offsets()["end"]
     lines = [_data(f"@{prefix}.{name}", content) for name, content in image.constants.items()]
-    lines += _declarations(prefix)
+    lines += _declarations(prefix, calls(image))
     lines += _create(image, prefix, magic, size, features)
-    for call in CALLS:
+    if image.poses is not None:
+        lines.append(f"declare void @{POSES}(ptr, ptr)")
+    for call in calls(image):
         lines += _wrapper(call, image, prefix, magic)
     return "\n".join(lines)
 
@@ -113,8 +125,8 @@ def _data(name: str, content: np.ndarray) -> str:
     return f"{name} = internal constant [{content.size} x {kind}] [{items}], align 64"
 
 
-def _declarations(prefix: str) -> list[str]:
-    functions = [call.function for call in CALLS] + [controller_data.fill]
+def _declarations(prefix: str, offered: Sequence[Call]) -> list[str]:
+    functions = [call.function for call in offered] + [controller_data.fill]
     lines = []
     for f in functions:
         kinds = ["double" if k == NUM else "ptr" if k in (NUMS, INTS) else "i64" for k in f.signature.arguments]
@@ -136,8 +148,13 @@ def _wrapper(call: Call, image: Image, prefix: str, magic: int) -> list[str]:
     lines += ["br i1 %own, label %go, label %no", "no:", f"ret i32 {Result.NOT_CREATED.value}", "go:"]
     offsets, passed = image.offsets(), []
     f = call.function
-    for name, kind in zip(f.argument_names, f.signature.arguments, strict=True):
-        if name in given:
+    known = {*image.areas, *image.constants, *image.numbers}
+    places = [place for p in f.signature.parameters for place in p.places]
+    for place, own, kind in zip(places, f.argument_names, f.signature.arguments, strict=True):
+        name = place if place in known or place == POSES_ADDRESS else own
+        if name == POSES_ADDRESS:
+            passed.append(f"i64 ptrtoint (ptr @{POSES} to i64)")
+        elif name in given:
             if given[name].startswith("i32"):
                 lines.append(f"%w.{name} = sext {given[name]} to i64")
                 passed.append(f"i64 %w.{name}")

@@ -21,8 +21,24 @@ from wbmpc.solver import Solver
 from wbmpc.solver.controller import Result
 from wbmpc.solver.controller_data import Figure
 
-#: Of the calling thread [bytes], measured and rounded up.
-STACK = 65536
+#: What figures are.
+FIGURES = {
+    Figure.STATUS: "of the last solve",
+    Figure.ITERATIONS: "of the last update",
+    Figure.UPDATES: "so far",
+    Figure.FAILURES: "updates without a plan",
+    Figure.CUT: "how often feedback was cut to the limits of the inputs",
+    Figure.COST: "of the active plan, as all below",
+    Figure.VIOLATION: "of its constraints",
+    Figure.LIMIT_VIOLATION: "of planned states' limits [their ranges]",
+    Figure.INITIAL_STATE_MISMATCH: "how far it starts from the measured state",
+    Figure.BEGINNING: "[s]",
+    Figure.END: "[s]",
+    Figure.EVENTS_WITHOUT_NODE: "of the last update's horizon: it has their modes late or not at all, or lost their jumps",
+    Figure.BRAKING_PLANS: "updates whose plan was replaced by a stop",
+    Figure.EXTENDED: "updates that took more than twice the iterations asked for: limits cut their steps, or a stop was planned",
+    Figure.CLEARANCE: "[m] between the two parts of the robot that lack most of their margin; infinite: none are near",
+}
 
 
 def write_texts(done: Export, mpc: MPC, target: Target) -> None:
@@ -33,14 +49,18 @@ def write_texts(done: Export, mpc: MPC, target: Target) -> None:
     write_text(done.directory / "README.md", _readme(done, target))
 
 
-def _names(prefix: str, kind: str, names: Sequence[str], values: Iterable[int] | None = None) -> str:
-    """An enumeration in C; names that C cannot have are spelled with underscores, and distinguished by their numbers."""
+def _names(
+    prefix: str, kind: str, names: Sequence[str], values: Iterable[int] | None = None, texts: Sequence[str] = ()
+) -> str:
+    """An enumeration in C, with ``texts`` behind its members; names that C cannot have are spelled with underscores, and distinguished
+    by their numbers."""
     if not names:
         return ""
     unique = _unique([re.sub("[^A-Za-z0-9]", "_", name).upper() for name in names])
     numbers = list(range(len(names)) if values is None else values)
-    lines = [f"    {prefix}_{kind}{name} = {i}" for name, i in zip(unique, numbers, strict=True)]
-    return "enum {\n" + ",\n".join(lines) + "\n};\n"
+    said = [f" /* {text} */" if text else "" for text in (*texts, *[""] * (len(names) - len(texts)))]
+    lines = [f"    {prefix}_{kind}{name} = {i},{text}" for name, i, text in zip(unique, numbers, said, strict=True)]
+    return "enum {\n" + "\n".join(lines) + "\n};\n"
 
 
 def _unique(spelled: Sequence[str]) -> list[str]:
@@ -58,9 +78,29 @@ def _members(prefix: str, kind: str, members: type[IntEnum]) -> str:
     return _names(prefix, kind, [m.name for m in members], [m.value for m in members])
 
 
+def _plain(name: str) -> str:
+    """A name may be anything, an end of a comment too."""
+    return re.sub("[^A-Za-z0-9_.-]", "_", name)
+
+
+def _pairs(mpc: MPC) -> str:
+    """What of a robot plans keep apart."""
+    rows = [
+        f" * {margin:6.3f} m  {_plain(frames[a])}-{_plain(frames[b])}"
+        for own in mpc._clear.within.values()
+        for frames in (own.geometry.frames,)
+        for (a, b), margin in zip(own.pairs, own.margins, strict=True)
+    ]
+    title = "/* Parts of the robot that plans keep apart, with all that is fixed to them, by at least so much: an update seeks their nearest"
+    return (
+        "\n".join([title, " * points itself, and plans a stop where nothing else helps.", *rows, " */"]) + "\n"
+        if rows
+        else ""
+    )
+
+
 def _layout(title: str, layout: Layout) -> str:
-    # a name may be anything, an end of this comment too
-    rows = [f" * {i:3d} {re.sub('[^A-Za-z0-9_.-]', '_', name)}" for i, name in enumerate(layout.names)]
+    rows = [f" * {i:3d} {_plain(name)}" for i, name in enumerate(layout.names)]
     return "\n".join([f"/* {title}", *rows, " */"]) + "\n"
 
 
@@ -81,7 +121,7 @@ def header(done: Export, mpc: MPC, target: Target) -> str:
     }  # fmt: skip
     calls = [f"/* {call.text.replace(chr(10), chr(10) + '   ')} */\n{declaration(call, p)};\n" for call in CALLS]
     return f"""/* A receding-horizon controller, written by wbmpc {__version__} for {target.cpu} ({target.triple}).
- * One thread at a time may be in a block. No function allocates memory or blocks; {STACK // 1024} KiB of stack are enough. */
+ * One thread at a time may be in a block. No function allocates memory or blocks; {done.stack // 1024} KiB of stack are enough. */
 #ifndef {upper}_H
 #define {upper}_H
 #include <stddef.h>
@@ -123,7 +163,9 @@ def _enumerations(done: Export, mpc: MPC) -> str:
         "Status of a solve, in FIGURE_STATUS.": _names(
             upper, "STATUS_", [Solver.status(i).name for i in range(EQUALITY_INFEASIBLE + 1)]
         ),
-        "What figures reports.": _members(upper, "FIGURE_", Figure),
+        "What figures reports.": _names(
+            upper, "FIGURE_", [f.name for f in Figure], [f.value for f in Figure], [FIGURES[f] for f in Figure]
+        ),
         "How a reference runs between its samples; POSE: position, unit quaternion w x y z.": _names(
             upper, "KIND_", Reference.KINDS
         ),
@@ -132,7 +174,7 @@ def _enumerations(done: Export, mpc: MPC) -> str:
         "Modes.": _names(upper, "MODE_", image.modes),
     }
     lists = "".join(f"/* {title} */\n{text}" for title, text in parts.items() if text)
-    return lists + _layout("State", d.state) + _layout("Input", d.input)
+    return lists + _pairs(mpc) + _layout("State", d.state) + _layout("Input", d.input)
 
 
 def _example(done: Export) -> str:
@@ -196,7 +238,7 @@ def _readme(done: Export, target: Target) -> str:
 | --- | --- |
 | object file | `{p}.o`, {done.object_size / 1000:.0f} kB, for `{target.cpu}` ({target.triple}), position-independent |
 | block | {done.block_size / 1000:.0f} kB at a multiple of 64 bytes, `sizeof({p})` |
-| stack | {STACK // 1024} KiB |
+| stack | {done.stack // 1024} KiB |
 | from elsewhere | {needs} (libm and the C library's copies of memory) |
 
 `{p}_create`, then in every period `{p}_update` with the measured state, and `{p}_policy` as often as inputs are needed. A result

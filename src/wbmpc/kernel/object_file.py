@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -67,3 +68,38 @@ def _symbol_table(code: bytes) -> Iterator[tuple[str, int, int]]:
         for at in range(offset, offset + length, 24):
             name, info, _, section = struct.unpack_from("<IBBH", code, at)
             yield code[names + name : code.index(b"\0", names + name)].decode(), info, section
+
+
+#: Machines of ELF files; frames [bytes] from this size on are no code of ours, but bytes that look like it.
+_X86_64, _AARCH64, _MOST = 62, 183, 1 << 24
+
+
+def largest_frame(code: bytes) -> int:
+    """The most stack [bytes] that one function of an object takes at once: the largest number that its code takes from the stack pointer.
+
+    As the manuals of both machines encode it: SUB RSP, imm32 (48 81 EC); SUB SP, SP, imm12, and that times 4096. Bytes that only look
+    like such an instruction make it larger, not smaller."""
+    (machine,) = struct.unpack_from("<H", code, 0x12)
+    found = [0]
+    for kind, flags, offset, length in _sections(code):
+        if kind != 1 or not flags & 4:  # SHT_PROGBITS, SHF_EXECINSTR
+            continue
+        text = code[offset : offset + length]
+        if machine == _X86_64:
+            found += [
+                size
+                for (size,) in (struct.unpack("<I", m) for m in re.findall(rb"\x48\x81\xec(.{4})", text, re.DOTALL))
+            ]
+        elif machine == _AARCH64:
+            words = struct.unpack(f"<{length // 4}I", text[: length // 4 * 4])
+            found += [(w >> 10 & 0xFFF) << 12 * (w >> 22 & 1) for w in words if w & 0xFF8003FF == 0xD10003FF]
+    return max(size for size in found if size < _MOST)
+
+
+def _sections(code: bytes) -> Iterator[tuple[int, int, int, int]]:
+    """(kind, flags, offset, length) of every section."""
+    (start,) = struct.unpack_from("<Q", code, 0x28)
+    size, count, _ = struct.unpack_from("<HHH", code, 0x3A)
+    for i in range(count):
+        _, kind, flags, _, offset, length = struct.unpack_from("<IIQQQQ", code, start + i * size)
+        yield kind, flags, offset, length

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,74 +12,13 @@ from wbmpc.clearance.nearest import with_sides
 from wbmpc.clearance.rows import Clearance as LeastClearance
 from wbmpc.clearance.rows import ObstacleRows, SelfRows
 from wbmpc.errors import InputError
-from wbmpc.model.augment import InputRate, WithPath
-from wbmpc.model.robot import RobotModel
+from wbmpc.mpc.braking import BrakingPlan, braking_plan, braking_time
 from wbmpc.mpc.guess import predicted
 from wbmpc.obstacles.world import Obstacles, Snapshot
 from wbmpc.ocp import OptimalControlProblem, Reference
 from wbmpc.ocp.symbols import KeepsClear
 from wbmpc.solver import Solver, Trajectory
 from wbmpc.solver.warm_start import restart_from, take_as_result
-
-#: A stop takes so long [s] at least and, where no limit says how fast inputs change, exactly the second; no longer than the last.
-SHORTEST, USUAL, LONGEST = 0.2, 0.5, 1.5
-
-
-def braking_time(dynamics: Any, robot: RobotModel, x0: Array, u0: Array) -> float:
-    """How long [s] a stop from the state ``x0`` (nx) under the input ``u0`` (nu) takes with all inputs in proportion."""
-    rates, u = robot.limits.input_rate, _speeds(dynamics, robot, x0, u0)
-    known = np.isfinite(rates) & (rates > 0.0)
-    if not known.any():
-        return USUAL
-    return float(np.clip((np.abs(u[known]) / rates[known]).max(), SHORTEST, LONGEST))
-
-
-class BrakingPlan(NamedTuple):
-    """States ``x`` (N + 1, nx) and inputs ``u`` (N, nu) of a stop."""
-
-    x: Array
-    u: Array
-
-
-def braking_plan(solver: Solver, robot: RobotModel, x0: Array, u0: Array, grid: Array, duration: float) -> BrakingPlan:
-    """A stop of ``duration`` [s] from the state ``x0`` (nx) under the input ``u0`` (nu), at nodes ``grid`` (N + 1) [s] from now."""
-    dynamics = solver.ocp.dynamics
-    # the mean over each interval of what is left of the speed, and how much of the interval the stop lasts
-    left = _remaining(grid, duration)
-    lasts = np.clip((duration - grid[:-1]) / np.diff(grid), 0.0, 1.0)
-    inputs = left[:, None] * u0
-    if isinstance(dynamics, WithPath):  # its speed is a state
-        inputs[:, dynamics.input["path"]] = -np.outer(lasts, x0[dynamics.state["path"]][1:]) / duration
-        dynamics = dynamics.dynamics
-    if isinstance(dynamics, InputRate):
-        for group in dynamics.groups:
-            inputs[:, dynamics.input[f"{group}_rate"]] = (
-                -np.outer(lasts, x0[dynamics.state[group + "_input"]]) / duration
-            )
-    states = np.empty((len(grid), len(x0)))
-    states[0] = x0
-    for k, h in enumerate(np.diff(grid)):
-        states[k + 1] = solver.simulate(states[k], inputs[k], float(h))
-    return BrakingPlan(states, inputs)
-
-
-def _remaining(grid: Array, duration: float) -> Array:
-    """Mean (N) over each interval of max(0, 1 − t / duration)."""
-    t = np.minimum(grid, duration)
-    distance = t - 0.5 * t**2 / duration
-    return np.asarray(np.diff(distance) / np.diff(grid))
-
-
-def _speeds(dynamics: Any, robot: RobotModel, x0: Array, u0: Array) -> Array:
-    """Inputs of the robot (nu): of a wrapper that has them as states, those."""
-    u = np.zeros(robot.input.size)
-    for group in robot.input.groups:
-        if group in dynamics.input:
-            u[robot.input[group]] = u0[dynamics.input[group]]
-        elif isinstance(dynamics, InputRate) and group in dynamics.groups:
-            u[robot.input[group]] = x0[dynamics.state[group + "_input"]]
-    return u
-
 
 #: Share of a margin that a plan may lack before it is replaced: one iteration misses rows by some of it.
 TOLERATED = 0.5
@@ -98,16 +37,16 @@ REACTION = 0.2
 
 
 class ClearanceRows:
-    """The clearance terms of a problem. ``obstacles``: what they keep clear of; ``active``: whether there are any terms; ``last``: the
-    least clearance of the last plan."""
+    """The clearance terms of a problem. ``obstacles``: what they keep clear of; ``active``: whether there are any terms, ``around`` it and
+    ``within`` the robot, by name; ``last``: the least clearance of the last plan."""
 
     def __init__(self, ocp: OptimalControlProblem, solver: Solver, obstacles: Obstacles | None) -> None:
         self._solver, self.obstacles = solver, obstacles
         none = np.zeros(0)
         clear: dict[str, Any] = {n: t.residual for n, t in ocp.terms.items() if isinstance(t.residual, KeepsClear)}
-        self._around = {n: ObstacleRows(r) for n, r in clear.items() if r.clear_of == "obstacles"}
-        self._within = {n: SelfRows(r) for n, r in clear.items() if r.clear_of == "self"}
-        self.active = bool(self._around or self._within)
+        self.around = {n: ObstacleRows(r) for n, r in clear.items() if r.clear_of == "obstacles"}
+        self.within = {n: SelfRows(r) for n, r in clear.items() if r.clear_of == "self"}
+        self.active = bool(self.around or self.within)
         self.last = LeastClearance()
         #: when the stop ends [s] that the last plan is; None: it is none
         self._stops_at: float | None = None
@@ -116,11 +55,11 @@ class ClearanceRows:
         self._snapshot = Snapshot()
         #: time and age, states of the plan, and what was predicted from it
         self._predicted: tuple[tuple[float, float], Array, tuple[Array, Array]] = (np.nan, np.nan), none, (none, none)
-        if self._around and obstacles is None:
+        if self.around and obstacles is None:
             raise InputError(
-                f"mpc: term '{next(iter(self._around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())"
+                f"mpc: term '{next(iter(self.around))}' needs obstacles: MPC(ocp, obstacles=wb.Obstacles())"
             )
-        if obstacles is not None and not self._around:
+        if obstacles is not None and not self.around:
             raise InputError(
                 "mpc: obstacles are given, but no term keeps clear of them; valid: a hard residuals.Clearance"
             )
@@ -143,9 +82,9 @@ class ClearanceRows:
     def refresh(self, t: float, delta: float) -> None:
         """Set all rows for a solve at ``t`` [s] that goes on from a plan which is ``delta`` [s] old."""
         times, states = self.predicted(t, delta)
-        for name, rows in self._around.items():
+        for name, rows in self.around.items():
             self._solver.set_reference(name, Reference(times, rows.refresh(self._snapshot, times, states)))
-        for name, own in self._within.items():
+        for name, own in self.within.items():
             self._solver.set_reference(name, Reference(times, own.refresh(states)))
 
     # ------------------------------------------------------------------ after a solve
@@ -153,24 +92,24 @@ class ClearanceRows:
         """Measure the plan of a solve at ``t`` [s]: the pair that lacks most of its margin is ``last``."""
         plan = self._solver.trajectory(copy=False)
         times, states = t + plan.grid, plan.x
-        found = [r.clearance(self._snapshot, times, states) for r in self._around.values()]
-        found += [r.clearance(times, states) for r in self._within.values()]
+        found = [r.clearance(self._snapshot, times, states) for r in self.around.values()]
+        found += [r.clearance(times, states) for r in self.within.values()]
         self.last = min(found, key=lambda c: c.excess)
 
     def unsafe(self, times: Array, states: Array, until: float) -> LeastClearance | None:
         """Where a plan comes much too near to something before ``until`` [s], and nearer than it is at its first node; None: nowhere."""
         count = max(int(np.searchsorted(times, until, side="right")), 2)
         share = 1.0 - TOLERATED
-        found = [r.deepest(times, states, count, share, DEEPER) for r in self._within.values()]
+        found = [r.deepest(times, states, count, share, DEEPER) for r in self.within.values()]
         times, states = times[:count], states[:count]
-        found += [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self._around.values()]
+        found += [r.deepest(self._snapshot, times, states, share * r.margin, DEEPER) for r in self.around.values()]
         return min((c for c in found if c is not None), key=lambda c: c.distance, default=None)
 
     def evades(self, times: Array, states: Array) -> bool:
         """See :meth:`wbmpc.mpc.mpc.MPC.evades`."""
         moving = tuple(o for o in self._snapshot.obstacles if o.velocity.any())
         world = Snapshot(moving, self._snapshot.frames)
-        around = self._around.values() if moving else ()
+        around = self.around.values() if moving else ()
         return all(r.deepest(world, times, states, (1.0 - TOLERATED) * r.margin, DEEPER) is None for r in around)
 
     # ------------------------------------------------------------------ solves that end clear, or in a stop
@@ -185,6 +124,7 @@ class ClearanceRows:
         """
         self.update_snapshot(t)
         if delta is None or self.robot.base.balances:
+            self._stops_at = self._search = None  # of plans that are forgotten
             run(delta or 0.0, passes)
             self.measure(t)
             return None
@@ -257,7 +197,7 @@ class ClearanceRows:
         duration = braking_time(solver.ocp.dynamics, self.robot, x0, u0)
         if self._stops_at is not None:
             duration = min(duration, max(self._stops_at - t, ENDING))
-        return duration, lambda: braking_plan(solver, self.robot, x0, u0, solver.node_times(t), duration)
+        return duration, lambda: braking_plan(solver, x0, u0, solver.node_times(t), duration)
 
     def _input(self, delta: float) -> Array:
         plan = self._solver.trajectory(copy=False)

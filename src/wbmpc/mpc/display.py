@@ -32,7 +32,8 @@ class Described:
         counts = self.statistics
         rows: list[tuple[str, object]] = [
             ("terms", ", ".join(self.ocp.terms)), ("references", ", ".join(self.solver.references)), ("solves", counts.solves),
-            ("without a new plan", counts.failures + counts.no_step), ("last fault", self.fault or "none"),
+            ("without a new plan", counts.failures + counts.no_step), ("with more than twice the iterations", counts.extended),
+            ("last fault", self.fault or "none"),
         ]  # fmt: skip
         if counts.solve_times:
             rows.append(("solve time, median", f"{1e3 * np.median(counts.solve_times):.3g} ms"))

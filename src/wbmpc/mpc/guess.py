@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
+from wbmpc.clearance.plan_step import predict
 from wbmpc.errors import InputError
 from wbmpc.solver import Solver, Trajectory
 
@@ -43,8 +44,7 @@ def check_found(found: object) -> None:
 
 def predicted(solver: Solver, t: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
     """Times (N + 1) [s] of the nodes of a solve at ``t`` [s], and where the last plan, ``delta`` [s] old, is then (N + 1, nx)."""
-    grid, plan = solver.node_times(t), solver.trajectory(copy=False)
-    at = np.minimum(grid + delta, plan.grid[-1])
-    k = np.clip(np.searchsorted(plan.grid, at, side="right") - 1, 0, len(plan.grid) - 2)
-    share = ((at - plan.grid[k]) / (plan.grid[k + 1] - plan.grid[k]))[:, None]
-    return t + grid, (1.0 - share) * plan.x[k] + share * plan.x[k + 1]
+    grid, plan = np.ascontiguousarray(solver.node_times(t)), solver.trajectory(copy=False)
+    states = np.empty_like(plan.x)
+    predict(len(plan.u), plan.x.shape[1], plan.grid, 0, plan.x, 0, grid, delta, states)
+    return t + grid, states

@@ -50,7 +50,8 @@ class MPC(Described):
 
     To read: ``reference`` by the name of its term (to set, too); ``path``: progress along a path; ``limits``: bounds and straight hard
     rows of the inputs, which all policies hold; ``statistics`` of all solves; ``fault``: why the last update produced no plan, or ``""``;
-    ``events_without_node``: number of events within the last horizon without a node of their own.
+    ``events_without_node``: number of events within the last horizon without a node of their own; ``extended``: whether the last update
+    took more than twice the iterations asked for, see :class:`wbmpc.mpc.statistics.Statistics`.
     """
 
     def __init__(
@@ -91,6 +92,8 @@ class MPC(Described):
         self.fault = ""
         #: events within the last pass's horizon that got no node of their own: see :meth:`Solver.events_without_node`
         self.events_without_node = 0
+        #: whether the last pass took more than twice the iterations asked for
+        self.extended = False
         self._reported = False
         self._lines = RateLimit()
         self._plan_check = PlanCheck(self.solver, self._lines)
@@ -163,6 +166,7 @@ class MPC(Described):
         started = self._t is not None
         usable = self._advance(observation)
         self.statistics.solves += 1
+        self.statistics.extended += int(self.extended)
         if started:
             self.statistics.solve_times.append(self.solve_time)
         if not usable:
@@ -216,8 +220,8 @@ class MPC(Described):
 
     @property
     def solve_info(self) -> dict[str, float]:
-        """Of the last plan: iterations in all, cost, constraint violation, optimality, solve time [s]; where the grid follows
-        events or the state jumps at them, how many found no node."""
+        """Of the last plan: iterations in all, whether these are more than twice those asked for, cost, constraint violation,
+        optimality, solve time [s]; where the grid follows events or the state jumps at them, how many found no node."""
         count = self._outcome[1]
         row = self.solver.log[max(count, 1) - 1]
         found = {name: float(row[COLUMNS[name]]) for name in ("cost", "violation", "kkt")}
@@ -225,7 +229,8 @@ class MPC(Described):
             found["events_without_node"] = float(self.events_without_node)
         if self._clear.active and np.isfinite(self.clearance.distance):
             found["clearance"] = self.clearance.distance
-        return {"solve_time": self.solve_time, "iterations": float(self._iterations), **found}
+        own = {"iterations": float(self._iterations), "extended": float(self.extended)}
+        return {"solve_time": self.solve_time, **own, **found}
 
     def advance(self, observation: Observation) -> bool:
         """Solve in the solver's memory, without copying the result. Returns whether it is a valid plan from ``observation.t`` on; if not,
@@ -247,6 +252,7 @@ class MPC(Described):
                 self._pass(*start)
             finally:
                 self._guess = guess
+        self.extended = self._t is not None and self._iterations > 2 * self.solver.settings.iterations
         self._t = observation.t
         self._count_events(observation.t)
         self.fault = self._plan_check.fault(observation.t, self._outcome[0])

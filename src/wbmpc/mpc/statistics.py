@@ -14,7 +14,8 @@ class Statistics:
     hard limits by more than 0.1 % of the range, ``worst_limit_violation``: by how much at most, as a share of it, and
     ``worst_limit_violation_message``: which row; ``initial_state_mismatches``: plans that start elsewhere than in the
     observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`); ``braking_plans``:
-    plans that were replaced by one that stops, before an obstacle.
+    plans that were replaced by one that stops, before an obstacle; ``extended``: updates beside the first one that took more than twice
+    the iterations asked for, because limits cut their steps (``max_extra_iterations``) or a stop was planned.
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)
@@ -27,6 +28,7 @@ class Statistics:
     initial_state_mismatches: int = 0
     worst_initial_state_mismatch: float = 0.0
     braking_plans: int = 0
+    extended: int = 0
 
     def count_limit_violation(self, share: float, where: str) -> None:
         """Count a plan whose states are outside hard limits by ``share`` of the range."""

@@ -26,12 +26,13 @@ from wbmpc.solver.memory_layout import (
     K,
     N,
     P,
+    Setting,
     StateField,
     U,
     W,
     X,
 )
-from wbmpc.solver.receding import count_until, forget, receding_solve
+from wbmpc.solver.receding import count_until, events_without_node, forget, receding_solve
 from wbmpc.solver.termination import DIVERGED, EQUALITY_INFEASIBLE, INPUT_INFEASIBLE, NOT_FINITE
 
 LIBRARY = Library(
@@ -79,6 +80,9 @@ class Count(IntEnum):
     UPDATES = 6
     FAILURES = 7  # updates without a plan
     CUT = 8  # how often a policy was cut to the limits
+    EVENTS_WITHOUT_NODE = 9  # of the last update's horizon
+    BRAKING_PLANS = 10  # plans that were replaced by one that stops
+    EXTENDED = 11  # updates beside the first that took more than twice the iterations asked for
 
 
 class Value(IntEnum):
@@ -89,6 +93,7 @@ class Value(IntEnum):
     VIOLATION = 2
     LIMIT_VIOLATION = 3  # of planned states [ranges of their limits]
     INITIAL_STATE_MISMATCH = 4
+    CLEARANCE = 5  # [m], of the pair that lacks most of its margin
 
 
 @compiled
@@ -112,14 +117,20 @@ def finite(m: Floats, first: int, count: int) -> bool:
 
 
 @compiled
-def start_from(m: Floats, o: Integers, states: Floats, inputs: Floats, held: bool) -> None:
-    """Trajectories (N + 1, nx) and (N, nu), or one state and one input that are ``held``, as where the next solve starts."""
+def put_trajectories(m: Floats, o: Integers, states: Floats, inputs: Floats, held: bool) -> None:
+    """As :func:`start_from`, with slacks and multipliers as they are."""
     for k in range(o[N] + 1):
         for i in range(o[NX]):
             m[o[X] + k * o[NX] + i] = states[i if held else k * o[NX] + i]
     for k in range(o[N]):
         for i in range(o[NU]):
             m[o[U] + k * o[NU] + i] = inputs[i if held else k * o[NU] + i]
+
+
+@compiled
+def start_from(m: Floats, o: Integers, states: Floats, inputs: Floats, held: bool) -> None:
+    """Trajectories (N + 1, nx) and (N, nu), or one state and one input that are ``held``, as where the next solve starts."""
+    put_trajectories(m, o, states, inputs, held)
     forget(m, o)
 
 
@@ -189,6 +200,14 @@ def take_plan(c: Loop, plan: Plan, x: Floats, t: float) -> None:
 
 
 @compiled
+def stayed_finite(m: Floats, o: Integers, status: int) -> bool:
+    """Whether a solve that ended with this status has numbers that can be used."""
+    n, nx, nu = o[N], o[NX], o[NU]
+    known = finite(m, o[X], (n + 1) * nx) and finite(m, o[U], n * nu) and finite(m, o[K], n * nu * o[LX])
+    return known and status != NOT_FINITE and status != DIVERGED
+
+
+@compiled
 def iterate(c: Loop, count: Integers, x: Floats, t: float, first: int, period: float) -> bool:
     """The solves of one update, for the first plan ``first`` of them; whether numbers stayed finite."""
     m, o, numbers, integers, value = c.m, c.o, c.numbers, c.integers, c.value
@@ -201,9 +220,7 @@ def iterate(c: Loop, count: Integers, x: Floats, t: float, first: int, period: f
         status, done = receding_solve(m, o, numbers, integers, t, delta if k == 0 else 0.0, x, c.settings, c.log)
         count[Count.ITERATIONS] += done
     count[Count.STATUS] = status
-    n, nx, nu = o[N], o[NX], o[NU]
-    known = finite(m, o[X], (n + 1) * nx) and finite(m, o[U], n * nu) and finite(m, o[K], n * nu * o[LX])
-    return known and status != NOT_FINITE and status != DIVERGED
+    return stayed_finite(m, o, status)
 
 
 @compiled
@@ -247,6 +264,39 @@ def fall_back(c: Loop, plan: Plan, count: Integers, x: Floats, room: Floats) -> 
 
 
 @compiled
+def admit(c: Loop, count: Integers, start: Floats, t: float, x: Floats) -> int:
+    """Whether there can be an update from the state ``x`` at time ``t``: it is copied to ``start``."""
+    if not (np.isfinite(t) and finite(x, 0, c.o[NX])):
+        return Result.NOT_A_NUMBER
+    if count[Count.STARTED] > 0 and t < c.value[Value.START]:
+        return Result.TIME_WENT_BACK
+    for i in range(c.o[NX]):
+        start[i] = x[i]
+    count[Count.UPDATES] += 1
+    return Result.OK
+
+
+@compiled
+def conclude(
+    c: Loop, plan: Plan, offsets: Offsets, count: Integers, start: Floats, room: Floats, t: float, started: bool, known: bool
+) -> int:  # fmt: skip
+    """What an update from ``start`` comes to after its solves; ``started``: they went on from others; ``known``: their numbers stayed
+    finite."""
+    m, o, status = c.m, c.o, count[Count.STATUS]
+    count[Count.EXTENDED] += 1 if started and count[Count.ITERATIONS] > 2 * int(c.settings[Setting.ITERATIONS]) else 0
+    count[Count.EVENTS_WITHOUT_NODE] = events_without_node(m, o, c.numbers, c.integers, t)
+    count[Count.BROKEN] = 0 if known else count[Count.BROKEN] + 1
+    usable = known and status != INPUT_INFEASIBLE and status != EQUALITY_INFEASIBLE
+    count[Count.FAULTS] = 0 if usable else count[Count.FAULTS] + 1
+    if not usable:
+        return fall_back(c, plan, count, start, room)
+    take_plan(c, plan, start, t)
+    plan_rows(plan, offsets, m, o[P], o[NP], m, o[W], c.numbers, c.integers, room)
+    count[Count.PLANNED] = 1
+    return Result.OK
+
+
+@compiled
 def update(
     c: Loop,
     plan: Plan,
@@ -260,25 +310,12 @@ def update(
     x: Floats,
 ) -> int:
     """A new plan from the state ``x`` at time ``t``."""
-    m, o = c.m, c.o
-    if not (np.isfinite(t) and finite(x, 0, o[NX])):
-        return Result.NOT_A_NUMBER
-    if count[Count.STARTED] > 0 and t < c.value[Value.START]:
-        return Result.TIME_WENT_BACK
-    for i in range(o[NX]):
-        start[i] = x[i]
-    count[Count.UPDATES] += 1
+    admitted = admit(c, count, start, t, x)
+    if admitted < 0:
+        return admitted
+    started = count[Count.STARTED] > 0
     known = find_plan(c, count, start, room, t, first, period)
-    status = count[Count.STATUS]
-    count[Count.BROKEN] = 0 if known else count[Count.BROKEN] + 1
-    usable = known and status != INPUT_INFEASIBLE and status != EQUALITY_INFEASIBLE
-    count[Count.FAULTS] = 0 if usable else count[Count.FAULTS] + 1
-    if not usable:
-        return fall_back(c, plan, count, start, room)
-    take_plan(c, plan, start, t)
-    plan_rows(plan, offsets, m, o[P], o[NP], m, o[W], c.numbers, c.integers, room)
-    count[Count.PLANNED] = 1
-    return Result.OK
+    return conclude(c, plan, offsets, count, start, room, t, started, known)
 
 
 @compiled

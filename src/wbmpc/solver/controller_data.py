@@ -13,19 +13,23 @@ from wbmpc.solver.receding import HOLD, POSE, POSE_HOLD
 
 
 class Figure(IntEnum):
-    """What a controller reports."""
+    """What a controller reports: see :data:`wbmpc.embedded.texts.FIGURES`."""
 
-    STATUS = 0  # of the last solve
-    ITERATIONS = 1  # of the last update
+    STATUS = 0
+    ITERATIONS = 1
     UPDATES = 2
-    FAILURES = 3  # updates without a plan
-    CUT = 4  # how often feedback was cut to the limits of the inputs
-    COST = 5  # of the active plan, here and below
-    VIOLATION = 6  # of its constraints
-    LIMIT_VIOLATION = 7  # of planned states' limits [their ranges]
-    INITIAL_STATE_MISMATCH = 8  # how far it starts from the measured state
-    BEGINNING = 9  # [s]
-    END = 10  # [s]
+    FAILURES = 3
+    CUT = 4
+    COST = 5
+    VIOLATION = 6
+    LIMIT_VIOLATION = 7
+    INITIAL_STATE_MISMATCH = 8
+    BEGINNING = 9
+    END = 10
+    EVENTS_WITHOUT_NODE = 11
+    BRAKING_PLANS = 12
+    CLEARANCE = 13
+    EXTENDED = 14
 
 
 @compiled
@@ -37,6 +41,9 @@ def figures(count: Integers, value: Floats, times: Floats, n: int, out: Floats) 
     out[Figure.VIOLATION], out[Figure.LIMIT_VIOLATION] = value[Value.VIOLATION], value[Value.LIMIT_VIOLATION]
     out[Figure.INITIAL_STATE_MISMATCH] = value[Value.INITIAL_STATE_MISMATCH]
     out[Figure.BEGINNING], out[Figure.END] = times[0], times[n]
+    out[Figure.EVENTS_WITHOUT_NODE] = count[Count.EVENTS_WITHOUT_NODE]
+    out[Figure.EXTENDED] = count[Count.EXTENDED]
+    out[Figure.BRAKING_PLANS], out[Figure.CLEARANCE] = count[Count.BRAKING_PLANS], value[Value.CLEARANCE]
     return Result.OK
 
 

@@ -234,6 +234,27 @@ def receding_solve(
 
 
 @compiled
+def events_without_node(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: float) -> int:
+    """See :func:`wbmpc.solver.events.events_without_node`."""
+    n, events, base, count = o[N], integers[1], o[GRID_BASE], 0
+    if o[ALIGN] == 0 and o[JUMPS] == 0:
+        return 0
+    last = -1
+    for e in range(events):
+        t = numbers[e] - t0
+        if o[ALIGN] > 0:
+            again = e > 0 and numbers[e] == numbers[max(e - 1, 0)]
+            count += 1 if t > 1e-6 and t < m[base + n] - 1e-6 and not again else 0
+            continue
+        now = 0
+        for k in range(n + 1):  # an event on a node belongs to the interval before
+            now += 1 if t0 + m[base + k] + 1e-9 < numbers[e] else 0
+        count += 1 if e > 0 and now == last and now > 0 and now <= n else 0
+        last = now
+    return max(count - (n - 1), 0) if o[ALIGN] > 0 else count
+
+
+@compiled
 def forget(m: Floats, o: Integers) -> None:
     """Discard slacks and multipliers: the next solve initializes them."""
     state = o[STATE]
