@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.optional import HasAcceleration
+from wbmpc.clearance.levers import prices
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -180,7 +181,8 @@ def keep_apart(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlP
     """The problem with hard rows that keep the pairs apart which the robot file lists (``collision.self.pairs``)."""
     if robot.description.collision.self.pairs and self_pairs(robot):
         rows, free = residuals.SelfClearance(robot), sets.NonNegative()
-        ocp.add(Constraint("self_clearance", rows, free, at="path+terminal", hard=True, slack=CLEARANCE_SLACK))
+        slack = prices(ocp, rows, CLEARANCE_SLACK)
+        ocp.add(Constraint("self_clearance", rows, free, at="path+terminal", hard=True, slack=slack))
     return ocp
 
 
