@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from wbmpc.arrays import Array
+from wbmpc.bases.optional import HasAcceleration
+from wbmpc.clearance.levers import prices
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -31,7 +33,15 @@ from wbmpc.ocp.base_residuals import UprightPart
 from wbmpc.ocp.clearance_residuals import stopping_time
 from wbmpc.ocp.scaling import scaled_weights
 from wbmpc.ocp.symbols import Residual
-from wbmpc.settings import MpcSettings, Settings, StabilitySettings, SupportMarginSettings, Weight, WheelLoadSettings
+from wbmpc.settings import (
+    CONTROL_RATE,
+    MpcSettings,
+    Settings,
+    StabilitySettings,
+    SupportMarginSettings,
+    Weight,
+    WheelLoadSettings,
+)
 from wbmpc.stability import StanceOf
 
 #: Of clearance rows [1/m, per second]: more than what costs of the end effector pull with when it is a meter from where it should be.
@@ -135,10 +145,9 @@ def keep_standing(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalContr
     if not at_home > 0.0:
         return ocp
     kept: dict[UprightPart, float] = {"center": CENTER_SHARE * at_home, "zmp": ZMP_SHARE * at_home}
-    rates = np.nan_to_num(robot.limits.input_rate, posinf=0.0)
     least: dict[UprightPart, float] = {
         "center": min(stance(x).polygon_margin for x in draw_states(robot, STANCES)),
-        "zmp": at_home - float((np.abs(residuals.Upright(robot).pushes) @ rates).max()),
+        "zmp": at_home - float((np.abs(residuals.Upright(robot).pushes) @ _largest_accelerations(robot)).max()),
     }
     parts = tuple(part for part in kept if not least[part] >= kept[part])
     if parts:
@@ -146,6 +155,17 @@ def keep_standing(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalContr
         inside = sets.Box(np.repeat([kept[part] for part in parts], rows.size // len(parts)), np.inf)
         ocp.add(Constraint("upright", rows, inside, hard=True, slack=MARGIN_SLACK))
     return ocp
+
+
+def _largest_accelerations(robot: RobotModel) -> Array:
+    """Of every input (nu) [its unit per second]: those of a base are its own limits or what its wheels allow. An input without a limit
+    may take its whole range in one period of :data:`CONTROL_RATE`; one without a range counts as at rest."""
+    limits, base = robot.limits, robot.base
+    rates = limits.input_rate.copy()
+    if isinstance(base, HasAcceleration):
+        rates[robot.input["base"]] = np.minimum(rates[robot.input["base"]], base.acceleration(limits))
+    at_once = CONTROL_RATE * np.maximum(np.abs(limits.input_lower), np.abs(limits.input_upper))
+    return np.nan_to_num(np.where(np.isfinite(rates), rates, at_once), posinf=0.0)
 
 
 def keep_off_floor(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlProblem:
@@ -160,9 +180,9 @@ def keep_off_floor(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalCont
 def keep_apart(ocp: OptimalControlProblem, robot: RobotModel) -> OptimalControlProblem:
     """The problem with hard rows that keep the pairs apart which the robot file lists (``collision.self.pairs``)."""
     if robot.description.collision.self.pairs and self_pairs(robot):
-        rows = residuals.SelfClearance(robot)
-        free = sets.NonNegative()
-        ocp.add(Constraint("self_clearance", rows, free, at="path+terminal", hard=True, slack=CLEARANCE_SLACK))
+        rows, free = residuals.SelfClearance(robot), sets.NonNegative()
+        slack = prices(ocp, rows, CLEARANCE_SLACK)
+        ocp.add(Constraint("self_clearance", rows, free, at="path+terminal", hard=True, slack=slack))
     return ocp
 
 

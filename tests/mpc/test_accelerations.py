@@ -145,3 +145,29 @@ def test_joints_that_steer_wheels_need_not_stop_before_their_range_ends() -> Non
     upper = np.array(found(ends, limits.input_upper, np.zeros(rows.reference))).ravel()[: len(rows.inputs)]
     low, high = (v[model.input["arm"]] for v in (limits.input_lower, limits.input_upper))
     np.testing.assert_allclose(upper, [0.0] * 4 + (-high / (high - low)).tolist(), atol=1e-12)
+
+
+@pytest.mark.parametrize("given", [None, (0.8, 1.5)])
+def test_a_base_that_takes_speeds_changes_them_no_faster_than_its_driver(
+    given: tuple[float, float] | None,
+) -> None:
+    """Without limits, plans reversed a base from full speed to full speed within 20 ms, against the swing of its arms, until it fell.
+    Truth: differences of commands."""
+    known = robot("pr2").description
+    most = known.base.acceleration if given is None else given
+    if given is not None:
+        known = known.model_copy(update={"base": known.base.model_copy(update={"acceleration": given})})
+    model = RobotModel(known)
+    mpc = default_mpc(model)
+    np.testing.assert_allclose(model.limits.input_rate[:3], [most[0], most[0], most[1]])
+    position, quaternion = model.pose(model.home)
+    mpc.reference["end_effector"] = Reference.poses([0.0], [position + [-0.5, 1.0, 0.0]], quaternion)
+    x, last, largest = model.home.copy(), np.zeros(3), np.zeros(3)
+    for k in range(80):
+        t = k * mpc.period
+        policy = mpc.update(Observation(t, x))
+        u = policy(t)
+        largest, last = np.maximum(largest, np.abs(u[:3] - last) / mpc.period), u[:3]
+        x = mpc.simulate(x, u, mpc.period)
+    assert np.all(largest < [1.01 * most[0], 1.01 * most[0], 1.01 * most[1]])
+    assert largest.max() > 0.5 * most[0] and np.linalg.norm(x[:2]) > 0.3

@@ -12,6 +12,7 @@ import pytest
 
 import wbmpc as wb
 from planar_driving import write_robot
+from wbmpc.bases import base_type
 from wbmpc.default_problem import CENTER_SHARE, ZMP_SHARE, default_mpc, default_problem
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.obstacles.pairs import draw_states
@@ -125,6 +126,46 @@ def test_robots_have_rows_for_what_can_tip_them_over(name: str, parts: tuple[str
     sides = [np.array([-w[1], w[0]]) / np.linalg.norm(w) for w in ways]
     worst = max(float(np.abs(shifts @ side).sum()) for side in sides)
     assert (still.polygon_margin - worst < ZMP_SHARE * still.polygon_margin) == ("zmp" in parts)
+
+
+def test_plans_of_steered_wheels_do_not_tip_a_light_base_over() -> None:
+    """A goal 1.5 m behind: the base speeds up and brakes by more than its feet bear. Truth: how single accelerations move the point at
+    home, by differences of stances."""
+    robot, e = load_robot("ffw-sg2"), 1e-3
+    mpc, stance, x, t = base_type("swerve").mpc(robot), StanceOf(robot), robot.home.copy(), 0.0
+    position, orientation = robot.pose(robot.home)
+    mpc.reference["end_effector"] = Reference.poses([0.0], [position + [-1.5, 0.0, 0.0]], orientation)
+    still = stance(robot.home)
+    shifts = np.array([stance(robot.home, u_rate=e * row).zmp - still.zmp for row in np.eye(robot.input.size)]) / e
+    sides = np.roll(still.feet, -1, axis=0) - still.feet
+    outward = np.stack([sides[:, 1], -sides[:, 0]], axis=1) / np.linalg.norm(sides, axis=1, keepdims=True)
+    outward *= np.sign(np.sum(outward * (still.feet - still.feet.mean(axis=0)), axis=1))[:, None]
+    level = np.sum(outward * still.feet, axis=1)
+    before, margins = None, list[float]()
+    for _ in range(100):
+        policy = mpc.update(wb.Observation(t, x))
+        u = policy.u[0]
+        change = np.zeros_like(u) if before is None else (u - before.feedforward(t)) / mpc.period
+        margins.append(float(np.min(level - outward @ (stance(x).zmp + change @ shifts))))
+        before, x, t = policy, mpc.simulate(x, u, mpc.period), t + mpc.period
+    assert min(margins) > 0.9 * ZMP_SHARE * still.polygon_margin
+    assert np.linalg.norm(x[:2]) > 0.5  # it went there
+
+
+@pytest.mark.parametrize(
+    "name, parts", [("ffw-sg2", ("zmp",)), ("swerve-fixed-ur10", ()), ("swerve-ur10", ()), ("telescope-ur10", ())]
+)
+def test_steered_bases_have_rows_where_accelerations_of_their_wheels_tip_them_over(
+    name: str, parts: tuple[str, ...]
+) -> None:
+    """Not those whose legs move their feet. Truth: by hand, a height of the center of mass z shifts the point by z a / g."""
+    robot = load_robot(name)
+    terms = base_type("swerve").mpc(robot).ocp.terms
+    assert (terms["upright"].residual.parts if "upright" in terms else ()) == parts
+    limits, still = robot.limits, StanceOf(robot)(robot.home)
+    fastest = limits.input_rate[robot.input["wheel"]].min() * robot.description.base.wheel_radius
+    shift = still.com[2] * fastest / -GRAVITY[2]
+    assert (shift > 0.5 * still.polygon_margin) == bool(parts)
 
 
 def test_what_keeps_wheels_loaded_takes_their_place() -> None:

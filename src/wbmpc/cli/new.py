@@ -219,7 +219,10 @@ def _list_pairs(data: dict[str, Any], comments: dict[str, str], robot: RobotMode
     if not found.pairs and not found.drawn:
         return
     text = f"bodies that come near each other in {found.samples} random states, which plans keep apart: confirm them"
-    for name, left in (("seldom near, left out", found.rare), ("touching at home, left out", found.close)):
+    for name, left in (
+        ("near only where one of these is, left out", found.rare),
+        ("touching at home, left out", found.close),
+    ):
         text += f"\n{name}: {', '.join('-'.join(p) for p in left)}" if left else ""
     text += "\nignore: their shapes overlap in most states, and may in the simulation" if found.drawn else ""
     comments["collision"], comments["collision.self"] = text, ""

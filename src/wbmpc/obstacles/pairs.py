@@ -9,6 +9,7 @@ from itertools import combinations
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.errors import InputError
@@ -24,13 +25,13 @@ SAMPLES, NEAR = 600, 0.10
 ALWAYS = 0.95
 #: Of the pairs for a robot file: states that are drawn, the share of them in which a pair may be nearer than its margin, and how many
 #: pairs there are at most: each costs time in every solve.
-FILE_SAMPLES, OFTEN, MAX_PAIRS = 2000, 0.5, 20
+FILE_SAMPLES, OFTEN, MAX_PAIRS = 4000, 0.5, 20
 #: Bounds of pairs of shapes that are made in all and at a time, and distances that are computed, at most: a model of hundreds of
 #: shapes is sampled in fewer states. One beyond so many shapes is not.
 MAX_BOUNDS, AT_ONCE, MAX_EXACT, MAX_SHAPES = 10_000_000, 1_000_000, 300_000, 1000
 #: Shapes that are nearer [m] overlap.
 TOUCHING = 1e-6
-#: A pair that is nearer than its margin at home keeps this share of its distance there.
+#: A pair keeps no margin at home of which less than this share is left, or that share of its distance there where that is less.
 HOME_SHARE = 0.5
 #: Slides are those of one telescope if the cosine of their axes is more.
 PARALLEL = 0.999
@@ -78,8 +79,9 @@ def propose_pairs(robot: RobotModel, samples: int = SAMPLES) -> Proposal:
 
 @dataclass(frozen=True)
 class Listing:
-    """Pairs for a robot file by what sampling found nearer than their margins: ``pairs`` that can come so near, the most frequent first;
-    ``rare``: the least frequent ones, beyond :data:`MAX_PAIRS`; ``close``: touching at home, where nothing can keep them apart;
+    """Pairs for a robot file by what sampling found nearer than their margins: ``pairs`` that can come so near, first those without which
+    most states would be missed (:func:`_in_order`); ``rare``: the last ones, beyond :data:`MAX_PAIRS`; ``missed``: share of the states with
+    any pair too near in which it is only these; ``close``: touching at home, where nothing can keep them apart;
     ``drawn``: those that overlap in most states, so that it is their shapes which do, and not the parts; ``samples``: states that were
     drawn."""
 
@@ -88,33 +90,55 @@ class Listing:
     close: tuple[Pair, ...]
     drawn: tuple[Pair, ...]
     samples: int
+    missed: float = 0.0
+
+
+def _in_order(hits: NDArray[np.bool_]) -> list[int]:
+    """Pairs by ``hits`` (n, pairs), whether they are too near in states: each next one is that which is in most of the states in which
+    none before it is; where there are none left, the most frequent. How often a pair is near says little: parts that come near together
+    make many frequent pairs, any of which keeps them apart, and others are near in their own few postures."""
+    order, left, free = list[int](), np.array(hits.any(axis=1)), np.array(hits.any(axis=0))
+    often = hits.sum(axis=0)
+    while free.any():
+        new = hits[left].sum(axis=0)
+        best = int(np.lexsort((-often, -new, ~free))[0])
+        order.append(best)
+        free[best] = False
+        left = left & ~hits[:, best]
+    return order
 
 
 def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
     """What a robot file should say of ``collision.self.pairs``. Raises :class:`~wbmpc.errors.InputError` for a robot without shapes."""
     geometry, margin = robot_geometry(robot), robot.description.collision.self.margin
     pairs = [p for p in combinations(_bodies(geometry), 2) if not _adjacent(robot, *p)]
-    apart = distances(geometry, pairs, draw_states(robot, samples), max(margin, TOUCHING))
+    apart = distances(geometry, pairs, draw_states(robot, samples), max((1.0 + HOME_SHARE) * margin, TOUCHING))
     close, drawn = apart[0] < TOUCHING, (apart < TOUCHING).mean(axis=0) >= OFTEN
-    share = (apart < _kept(apart[0], margin)).mean(axis=0)
     close |= drawn
-    order = sorted(np.flatnonzero((share > 0.0) & ~close).tolist(), key=lambda i: -share[i])
-    named = [pairs[i] for i in order]
+    hits = (apart < _kept(apart[0], margin)) & ~close
+    order = _in_order(hits)
+    named, any_near = [pairs[i] for i in order], hits.any(axis=1)
+    missed = any_near & ~hits[:, order[:MAX_PAIRS]].any(axis=1)
     listed = lambda mask: tuple(pairs[i] for i in np.flatnonzero(mask))
     return Listing(
-        tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn), len(apart)
-    )
+        tuple(named[:MAX_PAIRS]), tuple(named[MAX_PAIRS:]), listed(close & ~drawn), listed(drawn), len(apart),
+        float(missed.sum() / max(any_near.sum(), 1)),
+    )  # fmt: skip
 
 
 def own_margins(robot: RobotModel, pairs: Sequence[Pair], margin: float) -> Array:
-    """What each pair keeps (pairs) [m]: ``margin``, or of one that is nearer at home :data:`HOME_SHARE` of its distance there: the
-    simulation lets it collide like any other. One that touches at home has the whole margin."""
-    return _kept(distances(robot_geometry(robot), list(pairs), robot.home[None], max(margin, TOUCHING))[0], margin)
+    """What each pair keeps (pairs) [m]: ``margin``, or of one that is near at home so much less that home is clear by :data:`HOME_SHARE` of
+    the margin, or of its distance there: the simulation lets it collide like any other. Parts that joints turn beside their axes are as
+    far from each other in most postures as at home, and a margin of as much would hold their row at its limit. One that touches at home
+    has the whole margin."""
+    reach = max((1.0 + HOME_SHARE) * margin, TOUCHING)
+    return _kept(distances(robot_geometry(robot), list(pairs), robot.home[None], reach)[0], margin)
 
 
 def _kept(at_home: Array, margin: float) -> Array:
     """The same by distances (pairs) [m] at home."""
-    return np.where((at_home < TOUCHING) | (at_home >= margin), margin, HOME_SHARE * at_home)
+    clear = np.minimum(margin, np.maximum(HOME_SHARE * at_home, at_home - HOME_SHARE * margin))
+    return np.where(at_home < TOUCHING, margin, clear)
 
 
 def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: float = NEAR) -> Array:

@@ -99,7 +99,8 @@ class Clearance:
 class SelfClearance:
     """Distance of each pair of the robot's frames, with all that is fixed to them, minus ``margin`` [m] (None: the robot file's
     ``collision.self.margin``), all to be at least zero. ``pairs``: None for those of the robot file, or the ones that sampling proposes
-    (:func:`wbmpc.obstacles.pairs.propose_pairs`). A pair that is near at home keeps less, half of its distance there: ``margins`` (n) [m].
+    (:func:`wbmpc.obstacles.pairs.propose_pairs`). A pair that is near at home keeps less (:func:`wbmpc.obstacles.pairs.own_margins`):
+    ``margins`` (n) [m].
 
     ``approach`` [s]: the arm's joints bring a pair nearer by no more than the rest of its distance h in that time, ḣ ≥ −h / approach, in
     place of h ≥ 0. Speeds then fall no faster than joints can brake, whatever the distance is: limits that count from the last command

@@ -196,9 +196,9 @@ def _becomes_equality(term: Constraint, r: ca.SX, x: ca.SX, u: ca.SX) -> np.ndar
     held = np.zeros(r.shape[0], bool)
     if term.hard and isinstance(term.set, Box):
         held = fixed(*term.set.bounds(r.shape[0]))
-    if not held.any() or np.isinf(term.slack):
+    if not held.any() or np.isinf(term.slacks).all():
         return held
-    return np.asarray(held & depends(r, u) & ~depends(r, x))
+    return np.asarray(held & (np.isinf(term.slacks) | (depends(r, u) & ~depends(r, x))))
 
 
 def _fixed_part(
@@ -274,7 +274,7 @@ def _own_rows(
         # hard rows in units of their range; without one, and with multipliers, of the variables
         width = span if scales is None or not (multiplier or span == 1.0) else float(scales[s.i])
         # rows of inputs alone can always be held, but for those that move with the last command
-        slack = np.inf if held and with_input[s.i] and not with_state[s.i] else term.slack * width / span
+        slack = np.inf if held and with_input[s.i] and not with_state[s.i] else float(term.slacks[s.i]) * width / span
         penalty = term.penalty.rho * width**2 if isinstance(term.penalty, AugmentedLagrangian) else slack
         if selection is not None:
             index, scale, shift = selection[s.i]

@@ -82,9 +82,9 @@ class Constraint:
 
     Inequalities: relaxed barriers (``penalty=RelaxedBarrier(μ, δ)``), multipliers (``AugmentedLagrangian``), or ``hard``:
     a primal-dual interior point inside the Riccati recursion. A hard row that depends on the state holds wherever it can be
-    held and else has the exact L1 ``slack`` penalty (per unit of the row's range and second); rows of inputs alone have
-    no slack, but for those that move with the last command (:class:`wbmpc.residuals.AccelerationLimit`). State rows do not apply to the
-    measured state itself.
+    held and else has the exact L1 ``slack`` penalty (one number, or one for each row, per unit of the row's range and second); rows of
+    inputs alone have no slack, but for those that move with the last command (:class:`wbmpc.residuals.AccelerationLimit`). State rows do
+    not apply to the measured state itself.
     """
 
     name: str
@@ -94,7 +94,7 @@ class Constraint:
     modes: tuple[str, ...] | None = None
     penalty: RelaxedBarrier | AugmentedLagrangian = field(default_factory=RelaxedBarrier)
     hard: bool = False
-    slack: float = 1e3
+    slack: float | Sequence[float] = 1e3
     softness: float = 0.0
 
     def __post_init__(self) -> None:
@@ -112,7 +112,12 @@ class Constraint:
             )
         if not 0.0 <= self.softness < np.inf:
             raise InputError(f"constraint '{self.name}': softness must not be negative, got {self.softness}")
-        if not self.slack > 0.0:
+        prices = np.asarray(self.slack, float)
+        if prices.ndim and prices.shape != (self.residual.size,):
+            raise InputError(
+                f"constraint '{self.name}', slack: one number or {self.residual.size} are needed, got {prices.size}"
+            )
+        if not (prices > 0.0).all():
             raise InputError(f"constraint '{self.name}': slack must be positive (math.inf: none), got {self.slack}")
         if self.hard and isinstance(self.penalty, AugmentedLagrangian):
             raise InputError(f"constraint '{self.name}': hard=True and an AugmentedLagrangian exclude each other")
@@ -121,6 +126,11 @@ class Constraint:
     def equality(self) -> bool:
         """Whether the residual has to vanish."""
         return isinstance(self.set, Zero)
+
+    @property
+    def slacks(self) -> np.ndarray:
+        """``slack`` of every row."""
+        return np.broadcast_to(np.asarray(self.slack, float), (self.residual.size,))
 
 
 def expand_rows(value: Weight, residual: Residual, where: str) -> np.ndarray:

@@ -40,7 +40,7 @@ def gives_way(problem: Transcription, term: Any) -> bool:
     """Whether a constraint is a hard limit with an L1 slack (rows of inputs alone have none): whatever the start, there is a
     solution that misses it."""
     alone = problem.with_input(term) & ~problem.with_state(term)
-    return bool(term.hard and not term.equality and np.isfinite(term.slack) and not alone.all())
+    return bool(term.hard and not term.equality and np.isfinite(term.slacks).all() and not alone.all())
 
 
 def rows_that_must_hold(problem: Transcription) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import mujoco
 import numpy as np
@@ -14,6 +14,7 @@ from wbmpc.bases.base import Base, Proposal, Question
 from wbmpc.bases.planar_motion.description import Place, PlanarBaseDescription
 from wbmpc.bases.planar_motion.model import PlanarBase, PointFootprint, standing_on
 from wbmpc.bases.planar_motion.plugin import PlanarBaseType
+from wbmpc.bases.planar_motion.proposal import RIM_ACCELERATION
 from wbmpc.bases.planar_motion.wheels import FixedWheels
 from wbmpc.model.tree import Tree, read_tree
 from wbmpc.robots import RobotDescription
@@ -26,15 +27,18 @@ if TYPE_CHECKING:
     from wbmpc.robots.wheel_search import Wheel
 
 
+Acceleration = Annotated[float, Field(gt=0, ge=1e-3, le=1e4)]
+#: Where a file says nothing of accelerations, those of a turn follow from the wheels' at this distance [m].
+LEVER = 0.4
 #: Links of wheels and tracks.
 ROLLS = re.compile(r"wheel|cast[eo]r|(?<![a-z])tracks?(?![a-z])", re.IGNORECASE)
 
 
 class MobileBaseDescription(PlanarBaseDescription):
     """``drive``: "omni" takes speeds ahead, aside and a turn; "differential", "skid" and "tracks" speeds ahead and a turn about ``center``
-    [m], how far ahead of the body's frame they turn; ``height`` [m] of the body's frame above the floor. Wheels are held
-    (``fixed_joints``). ``casters`` (x, y) [m] in the axes of the body: on what it stands in the simulator, by default the corners of a
-    square about its center of mass."""
+    [m], how far ahead of the body's frame they turn; ``height`` [m] of the body's frame above the floor; ``acceleration``, of the speeds
+    [m/s²] and of the turn [rad/s²], up to which plans change them. Wheels are held (``fixed_joints``). ``casters`` (x, y) [m] in the axes
+    of the body: on what it stands in the simulator, by default the corners of a square about its center of mass."""
 
     joint_key: ClassVar[str] = ""
     takes_twist: ClassVar[bool] = True
@@ -45,6 +49,7 @@ class MobileBaseDescription(PlanarBaseDescription):
     drive: Literal["omni", "differential", "skid", "tracks"]
     center: float = Field(0.0, ge=-100, le=100)
     height: float = Field(0.0, ge=-10, le=10)
+    acceleration: tuple[Acceleration, Acceleration] = (RIM_ACCELERATION, RIM_ACCELERATION / LEVER)
     casters: tuple[tuple[Place, Place], ...] = ()
 
     @property
@@ -62,8 +67,10 @@ class MobileBase(PlanarBase):
     ) -> None:
         wheels = FixedWheels(np.zeros((0, 2)), np.zeros(0), 1.0, height)
         super().__init__(description, tree, wheels, np.asarray(np.linalg.pinv(twist), float), names, twist)
-        self.wheel_upper = self.wheel_acceleration = np.full(len(names), np.inf)
         assert isinstance(description.base, MobileBaseDescription)
+        ahead, turning = description.base.acceleration
+        self.wheel_upper = np.full(len(names), np.inf)
+        self.wheel_acceleration = np.array([*[ahead] * (len(names) - 1), turning])
         casters = np.array(description.base.casters).reshape(-1, 2)
         self.footprint = standing_on(PointFootprint(casters, [f"caster {i}" for i in range(len(casters))], True))
         self.feet_of_rows = []  # what it counts are speeds

@@ -10,7 +10,15 @@ import numpy as np
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.default_problem import ACCELERATION_SLACK, keep_apart, keep_clear, keep_off_floor, keep_upright, make_mpc
+from wbmpc.default_problem import (
+    ACCELERATION_SLACK,
+    keep_apart,
+    keep_clear,
+    keep_off_floor,
+    keep_standing,
+    keep_upright,
+    make_mpc,
+)
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.guess import Guess
 from wbmpc.mpc.mpc import MPC
@@ -111,14 +119,17 @@ def swerve_problem(
 def swerve_mpc(
     robot: RobotModel, settings: MpcSettings, cost: SwerveCost, guess: Guess | None = None, *,
     allow_side_slip: bool = False, obstacles: Obstacles | None = None, stability: StabilitySettings | None = None,
-    progress: str | None = None, self_clearance: bool = False,
+    progress: str | None = None, guarded: bool = False,
 ) -> MPC:  # fmt: skip
     """The MPC of that problem with its real-time settings, which keeps clear of ``obstacles``, and upright by ``stability``; ``progress``:
-    the frame that follows a path, see :func:`wbmpc.path_problem`; ``self_clearance``: whether it keeps apart the pairs that the robot file lists."""
+    the frame that follows a path, see :func:`wbmpc.path_problem`; ``guarded``: whether it keeps apart the pairs that the robot file
+    lists, and the robot upright without ``stability`` too (:func:`wbmpc.default_problem.keep_standing`)."""
     ocp = swerve_problem(robot, settings, cost, ROLLING_SOFTNESS, accelerations=True, allow_side_slip=allow_side_slip)
-    ocp = keep_apart(ocp, robot) if self_clearance else ocp
+    ocp = keep_apart(ocp, robot) if guarded else ocp
     if stability is not None:  # arms that are counterweights swing down to the floor
         ocp = keep_upright(keep_off_floor(ocp, robot), robot, stability)
+    elif guarded and not swerve_base(robot).geometry.legs_move:  # other legs, other distances
+        ocp = keep_standing(ocp, robot)
     ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)
     return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)
 

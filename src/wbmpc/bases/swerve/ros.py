@@ -196,9 +196,7 @@ class SwerveRosAdapter(BaseAdapter):
         self._steering = SteeringGuess(robot, self._preview)
         self.pending = PendingChanges(self._steering)
         self.obstacles = obstacles_of(settings)
-        self.mpc = swerve_mpc(
-            robot, settings.mpc, settings.cost, self.pending, obstacles=self.obstacles, self_clearance=True
-        )
+        self.mpc = swerve_mpc(robot, settings.mpc, settings.cost, self.pending, obstacles=self.obstacles, guarded=True)
         self._twists: Reference | None = None
         self._has_imu = False
         self._rest = {g: np.zeros(len(names)) for g, names in drive_groups(robot).items()}

@@ -166,7 +166,7 @@ def make_mpc(
     settings = MpcSettings(**{"horizon": 4.0, "intervals": 40, **changes})
     cost, guess = SwerveCost(state=StateCost(leg=LEG_WEIGHT)), PathGuess(robot) if progress else GoalGuess(robot)
     mpc = swerve_mpc(
-        robot, settings, cost, guess, obstacles=obstacles, stability=stability, progress=progress, self_clearance=True
+        robot, settings, cost, guess, obstacles=obstacles, stability=stability, progress=progress, guarded=True
     )
     stay_at_home(robot, mpc)
     return mpc
