@@ -266,7 +266,7 @@ def _command_line() -> Any:
     return typer.main.get_command(app)
 
 
-def _complain(error: Exception, debug: bool) -> None:
+def _complain(error: BaseException, debug: bool) -> None:
     """One message on standard error, whatever the message looked like; the traceback only on request."""
     if debug:
         traceback.print_exception(error)
