@@ -12,7 +12,7 @@ from typing import Any
 
 from wbmpc.bases import answers, available_base_types, base_type
 from wbmpc.bases.base import Proposal
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, shell_command
 from wbmpc.robots.description import DATA, RobotDescription, available_robots, load_description, load_spec
 from wbmpc.robots.findings import Finding
 from wbmpc.robots.mechanism import read_mechanism
@@ -124,7 +124,7 @@ def _bases(subject: Subject) -> Iterator[Finding]:
         if proposal.fit >= 0.5:
             yield Finding(
                 "info", "base", f"base type {name}", f"it fits: {proposal.reason}",
-                f"wbmpc new {subject.mechanism.file.path} --base {name}",
+                shell_command("wbmpc", "new", subject.mechanism.file.path, "--base", name),
             )  # fmt: skip
     if subject.driven and not any(p.fit >= 0.5 for p in proposals.values()):
         names = ", ".join(f"'{w.joint}'" for w in subject.driven[:4])
