@@ -295,6 +295,27 @@ def test_what_a_run_says_of_itself_steers_no_terminal(tmp_path: Path, capsys: py
     assert all(c.isprintable() or c == "\n" for c in said) and r"\x9b31m" in said and r"\x1b[31mred" in said
 
 
+@pytest.mark.parametrize("place", ["import", "run"])
+def test_a_program_that_changes_the_directory_does_not_move_the_files(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: --out is meant from where the command was given. The program's own paths are meant from where it has gone."""
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "mass").write_text("3.0")
+    go = f"os.chdir({str(tmp_path / 'there')!r})"
+    first = "\n    ".join(
+        [go] * (place == "run") + ["import pathlib", "settings.mass = float(pathlib.Path('mass').read_text())", ""]
+    )
+    source = OWN.replace("NAME", "mine").replace("    return RunResult", f"    {first}return RunResult")
+    (tmp_path / "mine.py").write_text("import os\n" + (go if place == "import" else "") + source)
+    monkeypatch.chdir(tmp_path / "here")
+    assert main(["run", "../mine.py", "--out", "run"]) == 0
+    assert Path.cwd() == tmp_path / "here"
+    assert json.loads(Path("run/metrics.json").read_text())["metrics"]["weight"]["value"] == pytest.approx(29.43)
+    assert [p.name for p in (tmp_path / "there").iterdir()] == ["mass"]
+
+
 def test_a_mistake_in_a_run_is_no_outcome_of_a_study(tmp_path: Path) -> None:
     """It is no settings that were rejected, and the run is done again when the file is mended."""
     (tmp_path / "mine.py").write_text(
