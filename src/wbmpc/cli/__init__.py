@@ -144,7 +144,7 @@ def list_experiments(
         return
     typer.echo("experiments:")
     for n, summary in _summaries(registry):
-        typer.echo(f"  {n:{max(map(len, registry))}s}  {summary}")
+        typer.echo(printable(f"  {n:{max(map(len, registry))}s}  {summary}"))
     typer.echo("robots:\n  " + "\n  ".join(available_robots()))
 
 
