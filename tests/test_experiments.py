@@ -43,6 +43,13 @@ def run(settings, seed, progress=None):
 EXPERIMENT = Experiment("NAME", "weighs", Mine, run)
 """
 
+#: A check of settings that fails in another way than by saying what is wrong.
+CHECKED = """mass: float = 2.0
+
+    def model_post_init(self, context):
+        1.0 / 0.0
+"""
+
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str], None]]:
@@ -243,6 +250,17 @@ def test_a_file_is_an_experiment(
         ),
         (OWN.replace("NAME", "../mine"), "experiment '../mine': valid in a name: letters"),
         (OWN.replace("Mine, run)", "dict, run)"), "experiment 'NAME': a pydantic model of its settings"),
+        (OWN.replace("mass: float = 2.0", "mass: float"), "NAME: its settings: ValidationError: 1 validation error"),
+        (
+            OWN.replace("mass: float", "mass: 'Unknown'"),
+            "NAME: its settings: PydanticUserError: `Mine` is not fully",
+        ),
+        (
+            OWN.replace("mass: float = 2.0", "mass: object = type"),
+            "NAME: its settings: PydanticSerializationError: ",
+        ),
+        (OWN.replace("mass: float = 2.0", CHECKED), "NAME: its settings: ZeroDivisionError: float division by zero"),
+        (OWN.replace('"weighs"', "None"), "experiment 'NAME': a text is needed that says what it is about"),
         (OWN.replace("9.81", "0 / 0"), "mine.py, line 11: its run fails: ZeroDivisionError"),
         (
             OWN.replace("return RunResult", "raise SystemExit(0); RunResult"),
@@ -293,6 +311,39 @@ def test_what_a_run_says_of_itself_steers_no_terminal(tmp_path: Path, capsys: py
     assert main(["run", str(tmp_path / "mine.py"), "--out", str(tmp_path / "run")]) == 1
     said = capsys.readouterr().out
     assert all(c.isprintable() or c == "\n" for c in said) and r"\x9b31m" in said and r"\x1b[31mred" in said
+
+
+def test_what_a_package_says_of_its_experiment_steers_no_terminal(
+    package: Callable[[str, str], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor does it make lines of its own. Truth: ISO/IEC 6429, and the lines without it."""
+    assert main(["list"]) == 0
+    usual = capsys.readouterr().out.splitlines()
+    package("their-task", OWN.replace("NAME", "their-task").replace("weighs", "\\x1b[2J\\nrobots:"))
+    assert main(["list"]) == 0
+    listed = capsys.readouterr().out
+    assert "\x1b" not in listed and len(listed.splitlines()) == len(usual) + 1
+
+
+@pytest.mark.parametrize("place", ["import", "run"])
+def test_a_program_that_changes_the_directory_does_not_move_the_files(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Truth: --out is meant from where the command was given. The program's own paths are meant from where it has gone."""
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "mass").write_text("3.0")
+    go = f"os.chdir({str(tmp_path / 'there')!r})"
+    first = "\n    ".join(
+        [go] * (place == "run") + ["import pathlib", "settings.mass = float(pathlib.Path('mass').read_text())", ""]
+    )
+    source = OWN.replace("NAME", "mine").replace("    return RunResult", f"    {first}return RunResult")
+    (tmp_path / "mine.py").write_text("import os\n" + (go if place == "import" else "") + source)
+    monkeypatch.chdir(tmp_path / "here")
+    assert main(["run", "../mine.py", "--out", "run"]) == 0
+    assert Path.cwd() == tmp_path / "here"
+    assert json.loads(Path("run/metrics.json").read_text())["metrics"]["weight"]["value"] == pytest.approx(29.43)
+    assert [p.name for p in (tmp_path / "there").iterdir()] == ["mass"]
 
 
 def test_a_mistake_in_a_run_is_no_outcome_of_a_study(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ the ZIP format (names of members need not differ), sizes of robots."""
 from __future__ import annotations
 
 import json
+import subprocess
 import unicodedata
 import zipfile
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from test_public_api import RAIL
 from wbmpc import checks
 from wbmpc.cli import main
 from wbmpc.configuration import configure
@@ -166,3 +168,20 @@ def test_a_kind_that_is_no_text_is_an_error(value: str, more: tuple[str, ...]) -
     settings = REGISTRY["rezero-push-ball"].config_type
     with pytest.raises(InputError, match="tracking"):
         configure(settings, [f"controller.tracking.kind={value}", *more], "rezero-push-ball")
+
+
+@pytest.mark.parametrize("name", ["two words", "-dash", "$(touch made)", "a; touch made #", "it's"])
+def test_commands_to_paste_have_names_of_files_as_one_word(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Truth: what the shell takes for the words."""
+    monkeypatch.chdir(tmp_path)
+    Path(f"{name}.xml").write_text(RAIL)
+    assert main(["new", "--yes", "--", f"{name}.xml"]) == 0
+    pasted = [line.partition("next: ")[2] or line for line in capsys.readouterr().out.splitlines()[-2:]]
+    for line, command in zip(pasted, ("doctor", "view"), strict=True):
+        shell = f'wbmpc() {{ printf "%s\\n" "$@"; }}; {line.partition(": 0 errors")[0]}'
+        said = subprocess.run(["sh", "-c", shell], capture_output=True, text=True, check=True).stdout.splitlines()
+        assert said[0] == command and len(said) == 2
+        assert Path(said[1]).is_file() and not said[1].startswith("-")
+    assert not Path("made").exists()

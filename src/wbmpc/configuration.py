@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
+from wbmpc import plugins
 from wbmpc.checks import parse_number
-from wbmpc.errors import InputError, did_you_mean
+from wbmpc.errors import InputError, ProgramError, did_you_mean
 from wbmpc.yaml_file import load_yaml, parse_yaml
 
 #: The discriminator of settings that are one of several models.
@@ -294,8 +295,23 @@ def configure(model: type[BaseModel], assignments: Iterable[str], where: str, fi
     """An instance of ``model`` with its defaults, the settings of a YAML ``file``, and ``key=value`` assignments (a later one wins).
 
     Values are written as in YAML: ``100``, ``true``, ``[0.6, 0.9]``.
-    Raises :class:`InputError` naming ``where`` (the experiment) or the file, the key and the valid choices.
+    Raises :class:`InputError` naming ``where`` (the experiment) or the file, the key and the valid choices, and :class:`ProgramError` for a
+    model of other people that cannot be made of its defaults, checked, or written as JSON.
     """
+    with mistakes_of_model(model, where):
+        found = _configured(model, assignments, where, file)
+        if not plugins.is_own(model.__module__):
+            found.model_dump_json()  # files of a run have it
+    return found
+
+
+def mistakes_of_model(model: type[BaseModel], where: str) -> AbstractContextManager[None]:
+    """Whatever is wrong with a model of other people is an error that begins with ``where``."""
+    own = plugins.is_own(model.__module__)
+    return nullcontext() if own else plugins.mistakes_of(f"{where}: its settings", kind=ProgramError)
+
+
+def _configured(model: type[BaseModel], assignments: Iterable[str], where: str, file: Path | None) -> Any:
     settings = model().model_dump()
     of_file = [] if file is None else _of_file(model, file, where)
     pairs = [*of_file, *_pairs(model, assignments, where)]

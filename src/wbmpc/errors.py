@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import shlex
 from collections.abc import Iterable
 
 
@@ -10,6 +11,14 @@ def printable(text: str, kept: str = "") -> str:
     """``text`` with what would steer a terminal (escape sequences, reversed writing, line feeds) written out, but for characters that
     are ``kept``: names in files are not trusted."""
     return "".join(c if c.isprintable() or c in kept else c.encode("unicode_escape").decode() for c in text)
+
+
+def shell_command(*words: object) -> str:
+    """A command line that a user may paste, whatever its words are: names of files are not trusted. A name that would pass for an option
+    begins with ``./``, but for those with two dashes, which are options."""
+    return printable(
+        shlex.join(f"./{w}" if w.startswith("-") and not w.startswith("--") else w for w in map(str, words))
+    )
 
 
 #: What is said in place of an error whose text cannot be made.

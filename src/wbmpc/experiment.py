@@ -63,6 +63,8 @@ class Experiment:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise InputError(f"experiment '{self.name}': valid in a name: letters, digits, '.', '-' and '_'")
+        if not isinstance(self.summary, str):
+            raise InputError(f"experiment '{self.name}': a text is needed that says what it is about")
         if not (isinstance(self.config_type, type) and issubclass(self.config_type, BaseModel) and callable(self.run)):
             raise InputError(f"experiment '{self.name}': a pydantic model of its settings and a function are needed")
 

@@ -10,11 +10,13 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from wbmpc.errors import NO_TEXT, InputError, WbmpcError, described, text_of
+from wbmpc.errors import NO_TEXT, InputError, ProgramError, WbmpcError, described, text_of
 from wbmpc.interrupts import exits_seen, interrupted
 
 #: The distribution whose names others cannot take.
 OWN = "wbmpc"
+#: Parts of other packages that what runs is made of: what each is -> "module:attribute".
+_IN_USE: dict[str, str] = {}
 
 
 def offered(group: str) -> dict[str, str]:
@@ -52,3 +54,45 @@ def load(value: str, what: str) -> Any:
     module, _, attribute = value.partition(":")
     with mistakes_of(f"{what} {value} cannot be imported"):
         return getattr(import_module(module), attribute)
+
+
+def is_own(value: str) -> bool:
+    """Whether "module:attribute" is of this distribution."""
+    return value.partition(":")[0].partition(".")[0] == OWN
+
+
+def note_use(what: str, value: str) -> None:
+    """What runs from now on is made of "module:attribute", which may be of another package: ``what`` it is."""
+    if not is_own(value):
+        _IN_USE[what] = value
+
+
+def forget_uses() -> None:
+    """Another command begins."""
+    _IN_USE.clear()
+
+
+def mistake_in_use(error: BaseException) -> ProgramError | None:
+    """What ended a command that is made of parts of other packages, as an error that names the part and the line: their code has raised it,
+    or gave back what nothing can be done with. None where there are no such parts."""
+    if not _IN_USE:
+        return None
+    calls = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    homes = {what: _home(value) for what, value in _IN_USE.items()}
+    what, at = next(
+        (
+            (what, call)
+            for call in reversed(calls)
+            for what, home in homes.items()
+            if home in (call[0], *call[0].parents)
+        ),
+        (list(_IN_USE)[-1], calls[-1] if calls else (Path(), 0)),
+    )
+    return ProgramError(f"{what} of another package ({_IN_USE[what]}): {described(error)} ({at[0]}, line {at[1]})")
+
+
+def _home(value: str) -> Path:
+    """The folder of the package of "module:attribute", or the file of a module that is in none."""
+    found = import_module(value.partition(":")[0].partition(".")[0])
+    file = Path(str(found.__file__)).resolve()
+    return file.parent if hasattr(found, "__path__") else file

@@ -12,10 +12,11 @@ A file needs no entry: ``wbmpc run my_task.py``.
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache, partial
 from importlib.util import module_from_spec, spec_from_file_location
@@ -38,6 +39,8 @@ DEMO_GROUP = "wbmpc.demo"
 GENERAL = "wbmpc.tasks:EXPERIMENTS"
 #: One file at a time: while a file is imported its classes look each other up by the module's name, which two threads would share.
 _IMPORTING = RLock()
+#: Where programs of files (None: of other packages) are that have changed the directory.
+_AT_HOME: dict[Path | None, str] = {}
 
 
 @cache
@@ -83,7 +86,10 @@ def _run(where: str, file: Path | None, run: Callable[..., RunResult], *argument
     """A run of other people's experiment, whose mistakes are no outcome of a robot's."""
     streams = sys.stdout, sys.stderr
     try:
-        with plugins.mistakes_of("its run fails" if file else f"{where}: its run fails", file, ProgramError):
+        with (
+            _own_directory(file),
+            plugins.mistakes_of("its run fails" if file else f"{where}: its run fails", file, ProgramError),
+        ):
             result: RunResult = run(*arguments)
     finally:
         sys.stdout, sys.stderr = streams
@@ -115,7 +121,7 @@ def load_mpc(problem: str) -> MPC:
             f"{path}: there is no {' and no '.join(names)}; valid: a function that returns an MPC, or an MPC"
         )
     called = name or "make_mpc"
-    with plugins.mistakes_of(f"{called}() fails", path):
+    with _own_directory(path), plugins.mistakes_of(f"{called}() fails", path):
         made = found() if callable(found) else found
     if not isinstance(made, MPC):
         raise InputError(f"{path}: {called}: an MPC is needed, got {type(made).__name__}")
@@ -133,12 +139,34 @@ def _imported(path: Path) -> ModuleType:
         sys.modules[name] = module  # annotations that are text are looked up there
         sys.path.insert(0, beside)
         try:
-            with plugins.mistakes_of("cannot be imported", path):
+            with _own_directory(path, new=True), plugins.mistakes_of("cannot be imported", path):
                 spec.loader.exec_module(module)
         finally:
             with suppress(ValueError):  # a program may do with the path what it likes
                 sys.path.remove(beside)
     return module
+
+
+@contextmanager
+def _own_directory(file: Path | None, new: bool = False) -> Iterator[None]:
+    """A program may change the directory, and finds itself there again, unless it is ``new``; paths of the command line stay the user's."""
+    program = Path(os.path.abspath(file)) if file else None
+    try:
+        before = os.getcwd()
+    except OSError:  # it has been removed
+        yield
+        return
+    home = _AT_HOME.pop(program, before)
+    with suppress(OSError):
+        os.chdir(before if new else home)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            if (now := os.getcwd()) != before:
+                _AT_HOME[program] = now
+        with suppress(OSError):
+            os.chdir(before)
 
 
 def _checked(found: Any, where: str) -> Experiment:

@@ -125,3 +125,23 @@ def test_a_header_that_comes_twice_is_a_bad_request() -> None:
         assert get(url)[0] == 200
     finally:
         server.stop()
+
+
+@pytest.mark.parametrize(
+    "name", ["Sec-WebSocket-Key", "Connection", "Upgrade", "Sec-WebSocket-Extensions", "Sec-WebSocket-Version"]
+)
+def test_a_websocket_that_is_not_asked_for_in_ascii_is_a_bad_request(name: str) -> None:
+    """Truth: RFC 6455, 4.1 and 4.2.1: the fields are of ASCII, and the server answers others with 400. Cookies may be anything: those of
+    another program on this machine come too."""
+    server, guard = open_server(Access.of("127.0.0.1"), free_port())
+    try:
+        url = guard.access.url(server.get_port())
+        asking = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+        asking |= {
+            "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+            "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+        }
+        assert get(url, **(asking | {name: asking.get(name, "") + "\xff"}))[0] == 400
+        assert get(url, Cookie="caf\xe9=1")[0] == 200
+    finally:
+        server.stop()

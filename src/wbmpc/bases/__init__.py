@@ -9,15 +9,19 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from functools import cache, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import wbmpc.mujoco_start  # noqa: F401  (before others import MuJoCo)
 from wbmpc import plugins
-from wbmpc.bases.base import PARTS, BaseType, MissingPart
+from wbmpc.bases.base import PARTS, BaseDescription, BaseType, MissingPart
 from wbmpc.errors import InputError, unknown_name
 
 GROUP = "wbmpc.bases"
+_LOG = logging.getLogger("wbmpc")
+_Answer = TypeVar("_Answer")
 #: Name in a robot file -> "module:attribute" of its plug-in, imported when it is first asked for.
 TABLE: dict[str, str] = {
     "fixed": "wbmpc.bases.fixed.plugin:FixedBaseType",
@@ -51,10 +55,39 @@ def base_type(name: str) -> BaseType:
     plug_in = plugins.load(locations[name], f"base type '{name}': its plug-in")
     with plugins.mistakes_of(f"base type '{name}': its plug-in {locations[name]} cannot be made"):
         made: BaseType = plug_in()
+        if not (isinstance(made.Description, type) and issubclass(made.Description, BaseDescription)):
+            raise InputError("its 'Description' is no wb.BaseDescription")
     for part in PARTS:
         if not _defines(type(made), part):
             object.__setattr__(made, part, partial(_inherited, made, part))  # a frozen plug-in too
     return made
+
+
+def base_type_in_use(name: str) -> BaseType:
+    """:func:`base_type`, of a robot that what runs is made of: what fails from then on may be the plug-in's mistake."""
+    made = base_type(name)
+    plugins.note_use(f"base type '{name}'", _locations()[name])
+    return made
+
+
+def answers(ask: Callable[[str], _Answer]) -> dict[str, _Answer]:
+    """``ask(name)`` for all base types. Those of packages that cannot be imported are left out; one of another package that fails is left
+    out with a warning: it does not concern the robots of others."""
+    found = {}
+    for name in available_base_types():
+        try:
+            base_type(name)
+        except InputError:
+            continue
+        if plugins.is_own(_locations()[name]):
+            found[name] = ask(name)
+            continue
+        try:
+            with plugins.mistakes_of(_locations()[name]):
+                found[name] = ask(name)
+        except InputError as error:
+            _LOG.warning("base type '%s' of another package is left out: %s", name, error)
+    return found
 
 
 def _inherited(plug_in: BaseType, part: str, *args: Any, **named: Any) -> Any:
@@ -67,13 +100,7 @@ def _inherited(plug_in: BaseType, part: str, *args: Any, **named: Any) -> Any:
 
 def offering(part: str) -> list[str]:
     """Names of the base types that define a part of the plug-in; those of packages that cannot be imported are left out."""
-    found = []
-    for name in available_base_types():
-        try:
-            found += [name] if offers(name, part) else []
-        except InputError:
-            continue
-    return found
+    return [name for name, offered in answers(lambda name: offers(name, part)).items() if offered]
 
 
 def offers(name: str, part: str) -> bool:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc import __version__
+from wbmpc import __version__, plugins
 from wbmpc.cli.calibration import calibrate
 from wbmpc.cli.directories import RECORD_LIMIT, AsJson, RecordLimit, run_directory
 from wbmpc.cli.doctor import doctor
@@ -43,7 +43,7 @@ from wbmpc.cli.terminal import (
 )
 from wbmpc.cli.views import LOCAL, Host, NoToken, Port, open_view, render, replay, view
 from wbmpc.errors import InputError, RunAborted, WbmpcError, printable, text_of, unknown_name
-from wbmpc.interrupts import act_on_waiting, ended_by_signal, interrupted, terminable
+from wbmpc.interrupts import act_on_waiting, ended_by_signal, exits_seen, interrupted, terminable
 
 if TYPE_CHECKING:
     from wbmpc.experiment import Experiment
@@ -144,7 +144,7 @@ def list_experiments(
         return
     typer.echo("experiments:")
     for n, summary in _summaries(registry):
-        typer.echo(f"  {n:{max(map(len, registry))}s}  {summary}")
+        typer.echo(printable(f"  {n:{max(map(len, registry))}s}  {summary}"))
     typer.echo("robots:\n  " + "\n  ".join(available_robots()))
 
 
@@ -266,7 +266,7 @@ def _command_line() -> Any:
     return typer.main.get_command(app)
 
 
-def _complain(error: Exception, debug: bool) -> None:
+def _complain(error: BaseException, debug: bool) -> None:
     """One message on standard error, whatever the message looked like; the traceback only on request."""
     if debug:
         traceback.print_exception(error)
@@ -314,7 +314,8 @@ def _run(
 ) -> int:
     """One command; what goes wrong as an exit status."""
     try:
-        with logged(verbose, debug), silent(quiet and "--json" not in arguments):
+        plugins.forget_uses()
+        with logged(verbose, debug), silent(quiet and "--json" not in arguments), exits_seen():
             _reject_empty(arguments)
             obj = _Session(registry, quiet)
             status = _command_line()(args=arguments, prog_name="wbmpc", standalone_mode=False, obj=obj)
@@ -329,12 +330,14 @@ def _run(
     except (KeyboardInterrupt, typer.Abort):
         typer.echo("wbmpc: interrupted", err=True)
         return INTERRUPTED
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if interrupted(error):
             typer.echo("wbmpc: interrupted", err=True)
             return INTERRUPTED
         # mistakes on the command line itself; their base class is typer's or click's, by typer's version
-        if not hasattr(error, "format_message"):
+        mistake = error if hasattr(error, "format_message") else plugins.mistake_in_use(error)
+        if mistake is None:
             raise
-        _complain(error, debug)
+        mistake.__cause__ = error if mistake is not error else None
+        _complain(mistake, debug)
         return BAD_INPUT

@@ -15,7 +15,7 @@ import typer
 
 from wbmpc.cli.directories import AsJson, Force, new_file
 from wbmpc.cli.doctor import Arguments, Packages, pairs
-from wbmpc.errors import InputError, printable
+from wbmpc.errors import InputError, printable, shell_command
 
 if TYPE_CHECKING:
     from wbmpc.bases.base import Question
@@ -60,7 +60,8 @@ def new(
     if not model.is_file():
         raise InputError(f"{model}: there is no such file; a URDF, xacro or MJCF is needed")
     if model.suffix in (".yaml", ".yml"):
-        raise InputError(f"{model}: a URDF, xacro or MJCF is needed; a robot file is checked by: wbmpc doctor {model}")
+        check = shell_command("wbmpc", "doctor", model)
+        raise InputError(f"{model}: a URDF, xacro or MJCF is needed; a robot file is checked by: {check}")
     path = new_file("--out", out, Path(f"{model.name.split('.')[0]}.yaml"), force)
     packages = {name: Path(folder) for name, folder in pairs("--package", package).items()}
     arguments, keys = pairs("--argument", argument), dict(_assigned(assignments))
@@ -286,7 +287,10 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapp
         yield f"  arm{f' {arm.name}' if draft.beside else ''}: {', '.join(arm.joints)}"
     others = [a.name for a in draft.arms if a not in draft.chosen and len(a.joints) >= len(draft.arm.joints) // 2]
     if others:
-        yield f"  other arms: {', '.join(others)}; to use them: --arm {','.join([*(a.name for a in draft.chosen), *others])}"
+        yield (
+            f"  other arms: {', '.join(others)}; to use them: "
+            + shell_command("--arm", ",".join([*(a.name for a in draft.chosen), *others]))
+        )
     yield f"  end effector: {draft.tool}, at home {home.tool[2] - ground_of(draft):.2f} m high" + (
         "" if home.free is not False else "; shapes touch there"
     )
@@ -296,8 +300,9 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapp
     )
     yield f"  fixed joints: {', '.join(robot.description.fixed_joints) or 'none'}"
     if draft.subject.driven and not robot.description.base.moves:
-        yield f"  note: its wheels stand still; why no base type drives them: wbmpc doctor {draft.mechanism.file.path}"
+        check = shell_command("wbmpc", "doctor", draft.mechanism.file.path)
+        yield f"  note: its wheels stand still; why no base type drives them: {check}"
     found = examine_robot(str(path))
-    yield f"  wbmpc doctor {path}: {found.count('error')} errors, {found.count('warning')} warnings"
+    yield f"  {shell_command('wbmpc', 'doctor', path)}: {found.count('error')} errors, {found.count('warning')} warnings"
     shown = offers(draft.base, "system")
-    yield f"  next: wbmpc view {path}" if shown else f"  next: wb.load_robot('{path}')"
+    yield f"  next: {shell_command('wbmpc', 'view', path)}" if shown else f"  next: wb.load_robot({str(path)!r})"

@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 
 def show_settings(model: type[BaseModel], name: str, as_json: bool, values: BaseModel | None = None) -> None:
     """Every setting of an experiment; ``values``: in place of the defaults."""
-
+    from wbmpc.configuration import mistakes_of_model
     from wbmpc.settings_table import rows
 
-    found = list(rows(model, values=values))
+    with mistakes_of_model(model, name):
+        found = list(rows(model, values=values))
     if as_json:
         typer.echo(json.dumps({"experiment": name, "settings": [asdict(row) for row in found]}))
         return

@@ -19,7 +19,7 @@ def stability(
     configuration: Annotated[
         str | None,
         typer.Option(
-            help="A configuration of the robot's legs by its name, or one leg angle (rad) per leg: 0.1,-0.1,0,0 (default: home)."
+            help="A configuration of the legs by its name, or a position (rad, m of legs that slide) per leg: 0.1,-0.1,0,0 (default: home)."
         ),
     ] = None,
     wrench: Annotated[

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from wbmpc.errors import KernelError
+from wbmpc.errors import KernelError, shell_command
 from wbmpc.input_file import expanded
 
 _LOG = logging.getLogger("wbmpc")
@@ -77,7 +77,7 @@ def _distrust(path: Path, found: os.stat_result) -> str:
         return f"{path} belongs to the user with number {found.st_uid}, not to this one ({os.geteuid()})"
     if found.st_mode & _OTHERS:
         mode = f"{stat.S_IMODE(found.st_mode):04o}"
-        return f"{path} can be changed by others (mode {mode}; 'chmod go-w {path}' if its content is yours)"
+        return f"{path} can be changed by others (mode {mode}; '{shell_command('chmod', 'go-w', path)}' if its content is yours)"
     return ""
 
 
@@ -88,9 +88,7 @@ def _distrust_holder(folder: Path, above: Path, found: os.stat_result) -> str:
         return f"{folder} is in {above}, which belongs to the user with number {found.st_uid}"
     if found.st_mode & _OTHERS and not found.st_mode & stat.S_ISVTX:
         mode = f"{stat.S_IMODE(found.st_mode):04o}"
-        return (
-            f"{folder} is in {above}, which can be changed by others (mode {mode}; 'chmod go-w {above}' keeps them out)"
-        )
+        return f"{folder} is in {above}, which can be changed by others (mode {mode}; '{shell_command('chmod', 'go-w', above)}' keeps them out)"
     return ""
 
 

@@ -35,6 +35,13 @@ class ModuleGeometry:
         """Number of modules n."""
         return len(self.hinge)
 
+    def leg_text(self, leg: ArrayLike) -> str:
+        """Positions (n) of the legs' joints for a message, each with its unit where they differ."""
+        units = ["m" if slides else "rad" for slides in self.slides]
+        if len(set(units)) == 1:
+            return f"{np.round(np.array(leg, float), 2)} {units[0]}"
+        return ", ".join(f"{p:.2f} {unit}" for p, unit in zip(np.array(leg, float).tolist(), units, strict=True))
+
     def leg_positions(self, leg: ArrayLike) -> Array:
         """Positions (..., n) [rad, or m of those that slide] or rates of the legs' joints as far as they can move: zero for fixed legs."""
         positions = np.asarray(leg, float) * self.legs_move

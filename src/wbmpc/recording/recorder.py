@@ -49,6 +49,7 @@ class Recorder:
 
     def __init__(self, path: Path, about: Mapping[str, Mapping[str, Any]], limit: int = LIMIT) -> None:
         self.path, self.about, self.limit = path, about, limit
+        self._place = path.absolute()  # the program that runs may change the directory
         self.file: McapFile | None = None
         self.failure = ""
         self.motion = Motion()
@@ -89,7 +90,7 @@ class Recorder:
             self._start = self._last = self._last + PAUSE
             self._begin_loop(scene)
             return
-        self.file = McapFile(self.path, self.limit)
+        self.file = McapFile(self._place, self.limit)
         for name, table in self.about.items():
             self.file.metadata(name, table)
         self.file.metadata(JOINT_UNITS, joint_units(running.plant.model))

@@ -21,7 +21,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from wbmpc.bases import available_base_types, base_type
+from wbmpc.bases import available_base_types, base_type, base_type_in_use
 from wbmpc.bases.base import BaseDescription, Section
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.input_file import expanded
@@ -116,7 +116,7 @@ def _base_section(value: Any) -> Any:
     name = value.get("type")
     if name not in available_base_types():
         raise PydanticCustomError("base_type", "valid: {valid}", {"valid": ", ".join(available_base_types())})
-    return base_type(name).Description.model_validate(value)
+    return base_type_in_use(name).Description.model_validate(value)
 
 
 class RobotDescription(Section):

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wbmpc.bases import available_base_types, base_type
+from wbmpc.bases import answers, available_base_types, base_type
 from wbmpc.bases.base import Proposal
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, shell_command
 from wbmpc.robots.description import DATA, RobotDescription, available_robots, load_description, load_spec
 from wbmpc.robots.findings import Finding
 from wbmpc.robots.mechanism import read_mechanism
@@ -124,7 +124,7 @@ def _bases(subject: Subject) -> Iterator[Finding]:
         if proposal.fit >= 0.5:
             yield Finding(
                 "info", "base", f"base type {name}", f"it fits: {proposal.reason}",
-                f"wbmpc new {subject.mechanism.file.path} --base {name}",
+                shell_command("wbmpc", "new", subject.mechanism.file.path, "--base", name),
             )  # fmt: skip
     if subject.driven and not any(p.fit >= 0.5 for p in proposals.values()):
         names = ", ".join(f"'{w.joint}'" for w in subject.driven[:4])
@@ -136,12 +136,12 @@ def _bases(subject: Subject) -> Iterator[Finding]:
 
 def propose_bases(subject: Subject) -> dict[str, Proposal]:
     """Proposals of all installed base types, the best first."""
-    found = {}
-    for name in available_base_types():
-        try:
-            proposal = base_type(name).propose(subject.mechanism, subject.driven)
-        except InputError:  # of a package that cannot be imported
-            continue
-        if proposal is not None and proposal.fit > 0.0:
-            found[name] = proposal
+
+    def ask(name: str) -> Proposal | None:
+        proposal = base_type(name).propose(subject.mechanism, subject.driven)
+        if not isinstance(proposal, Proposal | None):
+            raise InputError(f"'propose' gives '{type(proposal).__name__}', no wb.Proposal")
+        return proposal
+
+    found = {name: p for name, p in answers(ask).items() if p is not None and p.fit > 0.0}
     return dict(sorted(found.items(), key=lambda item: -item[1].fit))

@@ -80,6 +80,8 @@ class JointReader:
         self.ignored = {*settings.ignore, *(settings.bus_name(n) for n in robot.description.couple)}
         self.names = [n for part in self.groups.values() for n in part]
         self._known = set(self.names)
+        units = dict(zip((n for g in robot.state.groups.values() for n in g), robot.state.units, strict=True))
+        self._units = [units.get(n, "rad") for part in groups.values() for n in part]
         self._speed = np.concatenate([settings.joint_speeds(robot, g) for g, names in groups.items() if names])
         self._order: tuple[list[str], np.ndarray] | None = None
         #: the message that the next one is compared with: stamp [s], positions, when it came [s]
@@ -160,7 +162,8 @@ class JointReader:
         if np.any(far > 0.0):
             k = int(np.argmax(far))
             raise InputError(
-                f"joint states: '{self.names[k]}' jumped by {moved[k]:.3g} rad in {1e3 * interval:.3g} ms, faster than it can move"
+                f"joint states: '{self.names[k]}' jumped by {moved[k]:.3g} {self._units[k]} in {1e3 * interval:.3g} ms, "
+                "faster than it can move"
             )
 
 

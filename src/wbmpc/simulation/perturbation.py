@@ -177,8 +177,9 @@ class WheeledPerturbation(InertialUnit, WheelRadii, ArmPerturbation):
 def perturbation_model(base_type_name: str) -> type[Perturbation]:
     """The perturbation of a base type's plants: its own model, or what all plants read."""
     kind = base_type(base_type_name).perturbation() or Perturbation
-    if not issubclass(kind, Perturbation):
-        raise InputError(f"base type '{base_type_name}': 'perturbation' gives '{kind.__name__}', no wb.Perturbation")
+    if not (isinstance(kind, type) and issubclass(kind, Perturbation)):
+        given = getattr(kind, "__name__", type(kind).__name__)
+        raise InputError(f"base type '{base_type_name}': 'perturbation' gives '{given}', no wb.Perturbation")
     return kind
 
 

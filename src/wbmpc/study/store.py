@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TextIO
+from typing import TYPE_CHECKING, Any, BinaryIO, Self, TextIO
 
 from wbmpc.errors import InputError, NotWritten
 from wbmpc.input_file import open_file, read_file
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 MISSING = "studies need Dask, Optuna and pyarrow: pip install 'wbmpc[study]'"
 #: Rows of a part, bytes of a journal of as many, and rows of a Parquet file, at most.
 PART, LARGEST, MAX_ROWS = 5000, 256 * 1024 * 1024, 1_000_000
+#: Rows of a Parquet file that are read at a time, and bytes of all of them, at most: a million rows have some hundred bytes each.
+BATCH, LARGEST_TABLE = 5000, 4 * 1024**3
 _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
 #: What each row has: of which run it is. Texts.
 _OF_RUN = ("key", "experiment", "outcome")
@@ -231,12 +233,37 @@ def _read(path: Path, columns: list[str] | None) -> pyarrow.Table:
     try:
         _check_table(path)
         with open_file(path) as file:
-            found = parquet().read_table(file, columns=columns)
+            found = _unpacked(path, file, columns)
     except (OSError, pyarrow.ArrowException) as error:
         raise InputError(f"{path}: this is no Parquet file of a study, or not whole ({error})") from error
     if any(found[name].null_count for name in _OF_RUN if name in found.column_names):
         raise InputError(f"{path}: has rows that do not say of which run they are; this was not written by a study")
     return found
+
+
+def _unpacked(path: Path, file: BinaryIO, columns: list[str] | None) -> pyarrow.Table:
+    """The rows of a Parquet file, some at a time, until they are more than :data:`LARGEST_TABLE`. Texts that are there once and stand in a
+    million rows are counted before they are copied."""
+    import pyarrow
+    import pyarrow.compute as compute
+    import pyarrow.types as types
+
+    kinds = parquet().read_schema(file)
+    source = parquet().ParquetFile(file, read_dictionary=[f.name for f in kinds if types.is_string(f.type)])
+    size, found = 0, []
+    for batch in source.iter_batches(BATCH, columns=columns):
+        for column in batch.columns:
+            size += column.nbytes
+            if types.is_dictionary(column.type):
+                lengths = compute.binary_length(column.dictionary).take(column.indices)
+                size += compute.sum(lengths).as_py() or 0
+        if size > LARGEST_TABLE:
+            raise InputError(f"{path}: unpacks to more than {LARGEST_TABLE} bytes; at most so many are read")
+        found.append(batch)
+    chosen = [f for f in kinds if columns is None or f.name in columns]
+    table = pyarrow.Table.from_batches(found, schema=None if found else pyarrow.schema(chosen))
+    plain = [kinds.field(name) for name in table.column_names]
+    return table.unify_dictionaries().cast(pyarrow.schema(plain, kinds.metadata))
 
 
 def _merge(files: list[Path], latest: Mapping[str, Path], target: Path) -> None:

@@ -164,6 +164,8 @@ class Guard:
         elif reason:
             self.log.warning("view: a request was rejected: %s", reason)
             response = _text(HTTPStatus.FORBIDDEN, reason)
+        elif not _plain(request.headers):  # the library would fail at it while it answers
+            response = _text(HTTPStatus.BAD_REQUEST)
         else:
             try:
                 response = serve(connection, replace(request, path=self.access.inside(request.path)))
@@ -272,6 +274,13 @@ def _text(status: HTTPStatus, reason: str = "") -> Response:
     text = f"{status.value}: {reason or status.phrase}\n".encode()
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))})
     return Response(status.value, status.phrase, headers, text)
+
+
+def _plain(headers: Headers) -> bool:
+    """Whether what asks for a WebSocket is ASCII, as it has to be: other bytes come as halves of surrogates, which no text that is sent
+    may have."""
+    asks = ("connection", "upgrade", "sec-websocket-")
+    return all(value.isascii() for name, value in headers.raw_items() if name.lower().startswith(asks))
 
 
 def _other_version(headers: Headers) -> str:

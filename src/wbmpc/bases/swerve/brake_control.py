@@ -74,8 +74,8 @@ def reject_floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) 
     held, motion = floating(geometry, leg, brake)
     if held < FLOATING:
         raise InputError(
-            f"brakes: with these legs {np.round(leg, 2)} rad nothing would hold the base against "
-            f"{described(motion)} once they are open; valid: a closed brake, or other leg angles at once"
+            f"brakes: with these legs, {geometry.leg_text(leg)}, nothing would hold the base against "
+            f"{described(motion)} once they are open; valid: a closed brake, or other leg positions at once"
         )
 
 
@@ -99,8 +99,8 @@ def reject_floating_way(
         since = min(since, t) if held < FLOATING else np.inf
         if t - since > FLOATING_TIME:
             raise InputError(
-                f"brakes: on the way to {np.round(goal, 2)} rad nothing would hold the base against "
-                f"{described(motion)} for more than {FLOATING_TIME:g} s; valid: one leg after the other, or other leg angles"
+                f"brakes: on the way to {geometry.leg_text(goal)} nothing would hold the base against "
+                f"{described(motion)} for more than {FLOATING_TIME:g} s; valid: one leg after the other, or other leg positions"
             )
 
 

@@ -99,6 +99,9 @@ class SwerveReadings(NamedTuple):
     measurement: SwerveMeasurement | None = None
 
 
+Kind = Literal["does not hold", "does not open", "opens after all", "holds after all"]
+
+
 @dataclass(frozen=True)
 class BrakeFault:
     """At ``time`` [s] the brake of ``leg`` (index) turned out not to do what it was commanded to do, or that it does: ``str()`` is the message."""
@@ -106,8 +109,9 @@ class BrakeFault:
     time: float
     leg: int
     name: str
-    kind: Literal["does not hold", "does not open", "opens after all", "holds after all"]
+    kind: Kind
     angle: float
+    unit: str = "rad"
 
     @property
     def withdraws(self) -> bool:
@@ -116,7 +120,7 @@ class BrakeFault:
 
     def __str__(self) -> str:
         seen = "was to move by" if self.kind in ("does not open", "holds after all") else "moved by"
-        return f"brake of {self.name} {self.kind}: the leg {seen} {self.angle:.3f} rad ({self.time:.2f} s)"
+        return f"brake of {self.name} {self.kind}: the leg {seen} {self.angle:.3f} {self.unit} ({self.time:.2f} s)"
 
 
 class BrakeMonitor:
@@ -131,15 +135,17 @@ class BrakeMonitor:
     of a leg that is stuck, and then other legs move too little as well: those that did not stand as long as the first are
     judged again, from the beginning, once the plan has held it as long. ``faults``: all that were reported; ``withdrawn``:
     those that were taken back, of legs that were said not to open and then moved by as much, or not to hold and then stood as
-    one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip).
+    one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip). ``units``: what
+    messages say of each leg, by default "rad".
     """
 
     def __init__(
-        self, names: Sequence[str], limit: ArrayLike = np.inf, expected: float = 0.2, patience: float = 1.3
-    ) -> None:
+        self, names: Sequence[str], limit: ArrayLike = np.inf, expected: float = 0.2, patience: float = 1.3,
+        units: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         positive("brake monitor", expected=expected, patience=patience)
         maximum = _positive_rates(limit, len(names))
-        self.names, self.patience = list(names), patience
+        self.names, self.patience, self._units = list(names), patience, list(units) or ["rad"] * len(names)
         self.crawl = np.minimum(CRAWL, CRAWL_SHARE * maximum)
         self.expected = expected * np.minimum(1.0, (maximum - self.crawl) / (FAST - CRAWL))
         self.faults: list[BrakeFault] = []
@@ -219,9 +225,9 @@ class BrakeMonitor:
         for i in map(int, np.flatnonzero(self._reported)):
             gone = float(angle[i] - self._reported_at[i])
             if self._open[i] and abs(gone) > MOVED:
-                found.append(BrakeFault(t, i, self.names[i], "opens after all", gone))
+                found.append(self._fault(t, i, "opens after all", gone))
             elif not self._open[i] and self._stands(i):
-                found.append(BrakeFault(t, i, self.names[i], "holds after all", float(self._planned[i])))
+                found.append(self._fault(t, i, "holds after all", float(self._planned[i])))
         self._reported[[f.leg for f in found]] = 0.0
         self.withdrawn += found
         for back in found:
@@ -236,8 +242,11 @@ class BrakeMonitor:
     def _judge(self, t: float, i: int) -> BrakeFault | None:
         if not self._open[i]:
             gone = float(self._gone[i])
-            return BrakeFault(t, i, self.names[i], "does not hold", gone) if abs(gone) > MOVED else None
-        return BrakeFault(t, i, self.names[i], "does not open", float(self._planned[i])) if self._stands(i) else None
+            return self._fault(t, i, "does not hold", gone) if abs(gone) > MOVED else None
+        return self._fault(t, i, "does not open", float(self._planned[i])) if self._stands(i) else None
+
+    def _fault(self, t: float, i: int, kind: Kind, moved: float) -> BrakeFault:
+        return BrakeFault(t, i, self.names[i], kind, moved, self._units[i])
 
 
 def _positive_rates(limit: ArrayLike, n: int) -> Array:

@@ -156,7 +156,8 @@ def brake_monitor(robot: RobotModel) -> BrakeMonitor | None:
     """Of the brakes of a robot's legs, with the usual tolerances; None for fixed legs."""
     if "leg" not in robot.input:
         return None
-    return BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
+    layout, limit = robot.state, robot.limits.input_upper[robot.input["leg"]]
+    return BrakeMonitor(layout.groups["leg"], limit=limit, units=layout.unit_groups["leg"])
 
 
 class BrakeSupervision:

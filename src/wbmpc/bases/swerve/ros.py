@@ -224,7 +224,8 @@ class SwerveRosAdapter(BaseAdapter):
         if self.brakes is None:
             return None
         names = [self.settings.bus_name(n) for n in self.brakes.legs]
-        return BrakeMonitor(names, limit=self.robot.limits.input_upper[self.robot.input["leg"]])
+        limit, units = self.robot.limits.input_upper[self.robot.input["leg"]], self.robot.state.unit_groups["leg"]
+        return BrakeMonitor(names, limit=limit, units=units)
 
     def _preview(self, times: Array, pose: Array) -> Array:
         assert self._twists is not None

@@ -59,7 +59,7 @@ class Legs:
         now: Callable[[], Now | None],
     ) -> None:  # fmt: skip
         self.robot, self.settings, self._ready, self._now = robot, settings, ready, now
-        self.names = robot.state.groups["leg"]
+        self.names, self._units = robot.state.groups["leg"], robot.state.unit_groups["leg"]
         self.angles: Array | None = None
         self.moving = np.zeros(len(self.names), dtype=bool)
         self.rejected = self.short = ""
@@ -140,7 +140,9 @@ class Legs:
                 brake[places] = open_
         self._check(goal)
         self._put(goal, brake)
-        going = ", ".join(f"{m} to {a:.3f} rad" for m, a in zip(self.names, goal, strict=True) if a == a)
+        going = ", ".join(
+            f"{m} to {a:.3f} {u}" for m, a, u in zip(self.names, goal, self._units, strict=True) if a == a
+        )
         opens = ", ".join(f"{m} {'opens' if b else 'closes'}" for m, b in zip(self.names, brake, strict=True) if b == b)
         return "; ".join(part for part in (going, opens) if part) or "nothing to do"
 
@@ -159,11 +161,11 @@ class Legs:
 
     def _check(self, goal: Array) -> None:
         part, limits = self.robot.state["leg"], self.robot.limits
-        for name, angle, low, high in zip(
-            self.names, goal, limits.state_lower[part], limits.state_upper[part], strict=True
+        for name, angle, unit, low, high in zip(
+            self.names, goal, self._units, limits.state_lower[part], limits.state_upper[part], strict=True
         ):
             if np.isinf(angle) or angle < low or angle > high:
-                raise InputError(f"legs: {name} at {angle:g} rad is outside its limits {low:g} to {high:g}")
+                raise InputError(f"legs: {name} at {angle:g} {unit} is outside its limits {low:g} to {high:g}")
 
     def _put(self, goal: Array, brake: Array) -> None:
         with self._lock:
@@ -246,8 +248,8 @@ class Legs:
         if not stuck.any():
             return bool(there.any())
         self._close(brakes, t, stuck)
-        places = zip(self.names, leg, self.angles, stuck, strict=True)
-        message = [f"{n} stopped at {a:.3f} rad on its way to {to:.3f} rad" for n, a, to, ended in places if ended]
+        places = zip(self.names, self._units, leg, self.angles, stuck, strict=True)
+        message = [f"{n} stopped at {a:.3f} {u} on its way to {to:.3f} {u}" for n, u, a, to, ended in places if ended]
         self.short = f"{', '.join(message)}: no nearer for {PATIENCE:g} s, brakes closed"
         _LOG.warning("%s", self.short)
         self.angles = np.where(stuck, leg, self.angles)
