@@ -46,7 +46,7 @@ def test_slacks_that_have_not_settled_are_named() -> None:
     drawn = random_problems.draw(261, "structured")
     _, ours = random_problems.attempt(drawn, replace(drawn.settings, iterations=60))
     assert ours.status is Status.ITERATION_LIMIT
-    assert re.match(r"the slack of disc \d.all\[0\] at node \d+ is off by .* slacks cut steps to", ours.detail), ours
+    assert re.match(r"the slack of .*all\[\d\].* at node \d+ is off by .* slacks cut steps to", ours.detail), ours
 
 
 def test_another_answer_is_reported() -> None:

@@ -59,7 +59,7 @@ def test_it_does_what_python_does_to_the_last_bit(tmp_path: Path, pushes: int, m
     mpc, searched = reaching(tmp_path), []
     search = ClearanceRows.search
     monkeypatch.setattr(ClearanceRows, "search", lambda *a: searched.append(search(*a)) or searched[-1])
-    made, x, u = exported(mpc, tmp_path), mpc.solver.ws.x[0].copy(), np.empty(3)
+    made, x, u = exported(mpc, tmp_path), wb.load_robot(tmp_path / "arm.yaml").home.copy(), np.empty(3)
     active, inside, rng = 0, 0, np.random.default_rng(pushes)
     for k in range(75):
         t, failures = k / RATE, mpc.statistics.failures
@@ -89,7 +89,7 @@ def test_without_rows_the_same_controller_runs_into_itself(tmp_path: Path) -> No
     least = {}
     for keeps in (False, True):
         mpc = reaching(tmp_path, keeps)
-        made, x, u = exported(mpc, tmp_path), mpc.solver.ws.x[0].copy(), np.empty(3)
+        made, x, u = exported(mpc, tmp_path), wb.load_robot(tmp_path / "arm.yaml").home.copy(), np.empty(3)
         foot = (mujoco.mjtGeom.mjGEOM_CYLINDER, [0.08, 0.05])  # once more
         truth = TrueDistance(wb.load_robot(tmp_path / "arm.yaml"), [foot])
         truth.own = [g for g in truth.own if truth.model.body(truth.model.geom_bodyid[g]).name == "fore"]

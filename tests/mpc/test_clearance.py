@@ -242,7 +242,7 @@ def test_a_stop_is_forgotten_with_its_plan(tmp_path: Path) -> None:
     rows._stops_at, rows._search = 0.3, (0.2, 1)
     mpc.reset(robot.home)
     mpc.update(wb.Observation(1.0, robot.home))
-    rows._solver.ws.u[:] = [1.5, 0.0, 0.0]
+    mpc.solver.warm_start(robot.home, np.array([1.5, 0.0, 0.0]))
     assert rows._braking(1.02, robot.home, 0.02)[0] == pytest.approx(1.5 / 6.0)
     assert rows._search is None
 

@@ -175,6 +175,20 @@ def test_a_plan_that_reconfigures_its_legs_on_the_way_is_left_as_it_is() -> None
     np.testing.assert_array_equal(plan.u, before[1])
 
 
+def test_a_plan_that_turns_back_passes_through_rest_and_is_left_as_it_is() -> None:
+    """Its first speed is zero because it changes its sign there. One that stands for good is written anew. Truth: the plan before."""
+    ahead = wheel_velocities(G, STATE["leg"], np.array([1.0, 0.0, 0.0]))
+    for slope in (-0.5, 0.0):
+        x = MODEL.home.copy()
+        steer = np.arctan2(ahead[:, 1], ahead[:, 0]) - G.wheel_heading - STATE["leg"]
+        x[MODEL.state["steer"]] = (steer + np.pi / 2) % np.pi - np.pi / 2
+        plan = at_rest(x, 6.0)
+        plan.u[:, MODEL.input["base"].start] = np.maximum(slope * plan.grid[:-1], -0.2)
+        preview = lambda t, pose, slope=slope: np.tile([-0.2, 0.0 if slope else 0.2, 0.0], (len(t), 1))
+        found = SteeringGuess(MODEL, preview)(0.0, x, plan)
+        assert (found is None) == (slope < 0.0)
+
+
 def test_a_guess_from_rest_rolls_as_base_and_legs_move_the_wheels() -> None:
     plan = reconfiguring(speed=0.0)
     x = MODEL.home.copy()

@@ -192,7 +192,7 @@ def run_from(
         w.tuned[Setting.MAX_BARRIER] = max(w.tuned[Setting.MAX_BARRIER], w.barriers[k])
         w.tuned[Setting.BARRIER] = max(w.tuned[Setting.BARRIER], w.barriers[k])
         w.tuned[Setting.MIN_BARRIER] = max(w.tuned[Setting.MIN_BARRIER], w.barriers[k])
-        run(c, w, parts, places, solids, gaps, hull, count, x, w.tuned, t, 0.0, 1)
+        run(c, w, parts, places, solids, gaps, hull, count, x, settings=w.tuned, t=t, delta=0.0, passes=1)
 
 
 @compiled
@@ -248,24 +248,32 @@ def solve_clear(
     m, o = c.m, c.o
     if count[Count.STARTED] == 0 or w.balances > 0:
         w.guard[Guard.STOPS_AT], w.guard[Guard.SEARCH_AT] = np.inf, np.inf
-        run(c, w, parts, places, solids, gaps, hull, count, x, c.settings, t, delta, passes)
+        run(c, w, parts, places, solids, gaps, hull, count, x, settings=c.settings, t=t, delta=delta, passes=passes)
         return False
     duration = braking(c, w, x, t, delta)
     until = t + duration + REACTION
     w.guard[Guard.STOPS_AT] = np.inf
     place_nodes(c, w, t)
     predict(o[N], o[NX], m, o[GRID], m, o[X], w.grids, delta, w.ahead)
-    clear = danger(c, w, parts, places, solids, gaps, hull, w.ahead, 0, w.grids, 0, t, until) == np.inf
+    clear = (
+        danger(c, w, parts, places, solids, gaps, hull, x=w.ahead, at=0, nodes=w.grids, first=0, t=t, until=until)
+        == np.inf
+    )
     if clear:
-        run(c, w, parts, places, solids, gaps, hull, count, x, c.settings, t, delta, 1)
-        clear = danger(c, w, parts, places, solids, gaps, hull, m, o[X], m, o[GRID], t, until) == np.inf
+        run(c, w, parts, places, solids, gaps, hull, count, x, settings=c.settings, t=t, delta=delta, passes=1)
+        clear = (
+            danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=until)
+            == np.inf
+        )
     if clear:
         return False
     plan_stop(c, w, x, t, duration)
     run_from(c, w, parts, places, solids, gaps, hull, count, x, w.stop_x, w.stop_u, t)
-    found = danger(c, w, parts, places, solids, gaps, hull, m, o[X], m, o[GRID], t, until)
+    found = danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=until)
     place_nodes(c, w, t)
-    standing = danger(c, w, parts, places, solids, gaps, hull, w.stop_x, 0, w.grids, 0, t, until)
+    standing = danger(
+        c, w, parts, places, solids, gaps, hull, x=w.stop_x, at=0, nodes=w.grids, first=0, t=t, until=until
+    )
     if (found == np.inf or (standing < np.inf and standing <= found)) and usable(c, count[Count.STATUS]):
         return False
     take_as_result(c, w.stop_x, w.stop_u)
@@ -291,7 +299,7 @@ def search(
     if w.balances > 0 or guard[Guard.STOPS_AT] < np.inf:
         guard[Guard.SEARCH_AT] = np.inf
         return
-    before = danger(c, w, parts, places, solids, gaps, hull, m, o[X], m, o[GRID], t, np.inf)
+    before = danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=np.inf)
     if before == np.inf:
         guard[Guard.SEARCH_AT] = np.inf
         return
@@ -309,7 +317,7 @@ def search(
     else:
         plan_stop(c, w, x, t, braking(c, w, x, t, 0.0))
         run_from(c, w, parts, places, solids, gaps, hull, count, x, w.stop_x, w.stop_u, t)
-    found = danger(c, w, parts, places, solids, gaps, hull, m, o[X], m, o[GRID], t, np.inf)
+    found = danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=np.inf)
     taken = (found == np.inf or found > before + CLEARER) and usable(c, count[Count.STATUS])
     guard[Guard.SEARCH_AT], guard[Guard.SEARCHES] = t + AGAIN, 0.0 if taken else guard[Guard.SEARCHES] + 1.0
     if not taken:

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 #: A plan slower than this [m/s] stands: the guess from rest may be used.
 STANDS = 0.02
+#: … and within this time [s] is not faster than :data:`UNDER_WAY`: one that turns back passes through rest, and goes on.
+STANDS_TIME = 0.3
 #: A plan faster than this [m/s] is under way: the guess from rest may be used at its next stand. Twice as fast as one that stands, so that a
 #: plan that creeps gets one guess.
 UNDER_WAY = 0.04
@@ -221,11 +223,11 @@ class SteeringGuess:
 
     def __call__(self, t: float, x0: np.ndarray, trajectory: Trajectory) -> Trajectory | None:
         base = self.robot.input["base"]
-        current = float(speed(trajectory.u[0, base]))
-        if current > UNDER_WAY:
+        speeds = speed(trajectory.u[trajectory.grid[:-1] < STANDS_TIME, base])
+        if speeds[0] > UNDER_WAY:
             self._armed, self._done = False, False
-        elif current < STANDS:
-            self._armed = True
+        elif speeds[0] < STANDS:
+            self._armed = bool(speeds.max() <= UNDER_WAY)
         if not self._armed or self._done:
             return self._continue_plan(trajectory, t, x0)
         grid = trajectory.grid
