@@ -164,10 +164,9 @@ def largest_relative_residual(m: Floats, o: Integers) -> float:
 
 @compiled
 def add_weighted_gradient(m: Floats, o: Integers, k: int) -> None:
-    """w Jᵀ r of node k onto the gradient by [x, 1, u] in ``chained``."""
+    """w Jᵀ r of node k onto the gradient by [x, 1, u] in ``chained``, after :func:`node_matrix`."""
     _, boxes, general = node_rows(o, k)
     size = o[NX] + 1 + o[NU] if k < o[N] else o[NX]
-    node_matrix(o, k)
     for j in range(boxes + general):
         left = weight(m, o, k) * remaining_residual(m, o, k, j)
         if left != 0.0:
@@ -179,10 +178,10 @@ def add_weighted_gradient(m: Floats, o: Integers, k: int) -> None:
 @compiled
 def remove_blocked_part(m: Floats, o: Integers, k: int, largest: float) -> float:
     """Subtracts from node k's gradient in ``chained`` what active hard rows of the inputs block: their gradients times multipliers
-    that are not negative. Returns the largest such part, if it is more than ``largest``; which row goes to ``state``."""
+    that are not negative, after :func:`node_matrix`. Returns the largest such part, if it is more than ``largest``; which row goes to
+    ``state``."""
     _, boxes, general = node_rows(o, k)
     first, gradient = o[NX] + 1, o[CHAINED]
-    node_matrix(o, k)
     for j in range(boxes + general):
         q = k * o[ROWS] + j
         if not bounds_inputs(m, o, j) or row_penalty(m, o, j) < np.inf or m[o[ROW_H] + q] > DETECTION.at_limit:
@@ -225,6 +224,7 @@ def reduced_gradient(m: Floats, o: Integers, limited: bool) -> tuple[float, floa
             for i in range(nx + 1 + nu):
                 if i != nx:
                     m[gradient + i] += m[ab + r * lz + i] * m[costate + r]
+        node_matrix(o, k)
         add_weighted_gradient(m, o, k)
         if limited:
             largest = remove_blocked_part(m, o, k, largest)
@@ -255,6 +255,7 @@ def squared_lengths(m: Floats, o: Integers) -> tuple[float, float]:
         m[dx + i] = 0.0
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
+        node_matrix(o, k)
         at = dx + k * nx
         if k < o[N]:
             for j in range(nu):
