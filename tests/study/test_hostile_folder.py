@@ -11,7 +11,7 @@ import pytest
 
 from wbmpc.cli import main
 from wbmpc.errors import InputError
-from wbmpc.study.files import JOURNAL, LOCK, PAGE, ROWS, STATISTICS
+from wbmpc.study.files import JOURNAL, LOCK, PAGE, PARTS, ROWS, STATISTICS
 from wbmpc.study.store import Store, table_of
 
 ROW = {"key": "a-1", "experiment": "hold", "outcome": "completed", "wall_time": 1.0, "cpu_time": 1.0}
@@ -54,3 +54,16 @@ def test_nothing_is_written_where_links_lead(
     assert main(["study", "study.yaml", "--out", "out", "--report"]) == 2
     assert f"'out/{name}' is a link" in capfd.readouterr().err
     assert Path("precious").read_text() == "mine" if there else not Path("precious").exists()
+
+
+@pytest.mark.parametrize("name", [LOCK, JOURNAL, PARTS])
+def test_a_store_follows_no_links_of_its_own_names(name: str, tmp_path: Path) -> None:
+    """As in the folder of a search's trials, and of studies from Python. Truth: the content of the file that a link leads to."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "1.parquet").write_text("mine")
+    folder = tmp_path / "trials"
+    folder.mkdir()
+    (folder / name).symlink_to("../elsewhere" if name == PARTS else "../elsewhere/1.parquet")
+    with pytest.raises(InputError, match=f"{name}: is a link"), Store(folder):
+        pass
+    assert (tmp_path / "elsewhere" / "1.parquet").read_text() == "mine"

@@ -43,13 +43,13 @@ def levers(term: SelfClearance) -> Array:
 
 
 def prices(ocp: OptimalControlProblem, term: SelfClearance, least: float) -> tuple[float, ...]:
-    """Of the rows' slacks [1/m, per second], no less than ``least``: more than what the cost "end_effector" pulls joints with whose end
-    effector is :data:`FARTHEST` from its goal.
+    """Of the rows' slacks [1/m, per second], no less than ``least``: more than what the cost "end_effector" (of a problem with a path:
+    "contour") pulls joints with whose end effector is :data:`FARTHEST` from its goal. Weights that are raised later do not raise them.
 
     Joints that move parts against each other by little move the end effector by much: at one price for all pairs a goal a meter away
     presses those in each other that a joint turns beside its axis.
     """
-    cost = ocp.terms.get("end_effector")
+    cost = ocp.terms.get("end_effector", ocp.terms.get("contour"))
     if not isinstance(cost, Cost) or not term.approach:
         return (least,) * term.size
     path, end = (

@@ -127,17 +127,16 @@ def list_pairs(robot: RobotModel, samples: int = FILE_SAMPLES) -> Listing:
 
 
 def own_margins(robot: RobotModel, pairs: Sequence[Pair], margin: float) -> Array:
-    """What each pair keeps (pairs) [m]: ``margin``, or of one that is near at home so much less that home is clear by :data:`HOME_SHARE` of
-    the margin, or of its distance there: the simulation lets it collide like any other. Parts that joints turn beside their axes are as
-    far from each other in most postures as at home, and a margin of as much would hold their row at its limit. One that touches at home
-    has the whole margin."""
+    """What each pair keeps (pairs) [m]: ``margin``, or of one that is near at home so much that home is clear by :data:`HOME_SHARE` of it:
+    the simulation lets it collide like any other. Parts that joints turn beside their axes are as far from each other in most postures as
+    at home, and a margin of as much would hold their row at its limit. One that touches at home has the whole margin."""
     reach = max((1.0 + HOME_SHARE) * margin, TOUCHING)
     return _kept(distances(robot_geometry(robot), list(pairs), robot.home[None], reach)[0], margin)
 
 
 def _kept(at_home: Array, margin: float) -> Array:
     """The same by distances (pairs) [m] at home."""
-    clear = np.minimum(margin, np.maximum(HOME_SHARE * at_home, at_home - HOME_SHARE * margin))
+    clear = np.minimum(margin, at_home / (1.0 + HOME_SHARE))
     return np.where(at_home < TOUCHING, margin, clear)
 
 

@@ -79,6 +79,11 @@ class Store:
             path = self.folder / name
             if path.is_fifo() or path.is_dir():  # writing into a pipe would wait for its reader
                 raise InputError(f"{path}: is a pipe or a folder; remove it, or give another --out")
+        for name in (LOCK, ABOUT, JOURNAL, ROWS, PARTS, STATISTICS, TRIALS, DATABASE, BEST, PAGE):
+            if (self.folder / name).is_symlink():
+                raise InputError(
+                    f"{self.folder / name}: is a link: another file would be written; remove it, or give another --out"
+                )
         self._lock = (self.folder / LOCK).open("w")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
