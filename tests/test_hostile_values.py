@@ -170,7 +170,7 @@ def test_a_kind_that_is_no_text_is_an_error(value: str, more: tuple[str, ...]) -
         configure(settings, [f"controller.tracking.kind={value}", *more], "rezero-push-ball")
 
 
-@pytest.mark.parametrize("name", ["two words", "-dash", "$(touch made)", "a; touch made #", "it's"])
+@pytest.mark.parametrize("name", ["two words", "-dash", "--help", "$(touch made)", "a; touch made #", "it's"])
 def test_commands_to_paste_have_names_of_files_as_one_word(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

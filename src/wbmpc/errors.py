@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import shlex
 from collections.abc import Iterable
+from pathlib import Path
 
 
 def printable(text: str, kept: str = "") -> str:
@@ -14,11 +15,9 @@ def printable(text: str, kept: str = "") -> str:
 
 
 def shell_command(*words: object) -> str:
-    """A command line that a user may paste, whatever its words are: names of files are not trusted. A name that would pass for an option
-    begins with ``./``, but for those with two dashes, which are options."""
-    return printable(
-        shlex.join(f"./{w}" if w.startswith("-") and not w.startswith("--") else w for w in map(str, words))
-    )
+    """A command line that a user may paste, whatever its words are: names of files are not trusted. A path that would pass for an option
+    begins with ``./``."""
+    return printable(shlex.join(f"./{w}" if isinstance(w, Path) and str(w).startswith("-") else str(w) for w in words))
 
 
 #: What is said in place of an error whose text cannot be made.

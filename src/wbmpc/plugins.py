@@ -94,5 +94,5 @@ def mistake_in_use(error: BaseException) -> ProgramError | None:
 def _home(value: str) -> Path:
     """The folder of the package of "module:attribute", or the file of a module that is in none."""
     found = import_module(value.partition(":")[0].partition(".")[0])
-    file = Path(str(found.__file__)).resolve()
-    return file.parent if hasattr(found, "__path__") else file
+    folders = list(getattr(found, "__path__", ()))  # also of a package without a file of its own
+    return Path(folders[0] if folders else str(found.__file__)).resolve()

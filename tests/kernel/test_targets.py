@@ -16,8 +16,9 @@ import pytest
 from effort import some, thorough
 from toys import LinearQuadratic, hardened_pendulum, pendulum
 from wbmpc.kernel.cache import cache_directory
-from wbmpc.kernel.codegen_target import vector_budget
+from wbmpc.kernel.codegen_target import TARGETS, machine_for, parsed, vector_budget
 from wbmpc.kernel.compiled import emit_problem
+from wbmpc.kernel.object_file import largest_frame
 from wbmpc.ocp import Transcription
 from wbmpc.solver import compilation, receding  # noqa: F401  all functions of the library
 
@@ -113,3 +114,12 @@ def test_the_pendulum_uses_more_than_one_kernel() -> None:
     """What the target test solves has equality rows, general rows and boxes."""
     t = pendulum().problem
     assert t.equality.shape[0] and t.path_boxes and t.path.general_barriers
+
+
+@pytest.mark.parametrize("target", ["x86-64-v3", "aarch64"])
+@pytest.mark.parametrize("size", [5000, 20_000, 70_000])
+def test_the_largest_frame_is_no_less_than_what_a_function_keeps(target: str, size: int) -> None:
+    """Truth: an array that goes to another function, whose address it has."""
+    ir = f"declare void @use(ptr)\ndefine void @f() {{\n%a = alloca [{size} x i8]\ncall void @use(ptr %a)\nret void\n}}"
+    code = bytes(machine_for(TARGETS[target], 1).emit_object(parsed(ir)))
+    assert size <= largest_frame(code) < size + 4096 + 64

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,7 @@ from toys import Rows, ToyDynamics
 from wbmpc.errors import InputError, RunAborted
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
-from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status
+from wbmpc.solver import ILQR, SLQ, SQP, InteriorPoint, Solution, Solver, Status, certificate
 from wbmpc.types import Observation
 
 SOLVERS = {"sqp": SQP(), "filter": SQP(line_search="filter"), "exact": SQP(hessian="exact"), "ilqr": ILQR()}
@@ -196,3 +197,12 @@ def test_a_guess_beyond_all_numbers_is_reported_and_the_next_one_solves() -> Non
 def test_settings_are_checked(make, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_a_row_without_a_slack_must_hold_beside_one_that_gives_way() -> None:
+    """The second can be missed, which makes no problem infeasible; the first cannot."""
+    limit = Constraint("limit", Rows(2, lambda s: 0.5 - s.x), sets.NonNegative(), hard=True, slack=[np.inf, 1e3])
+    problem = Solver(cart(limit), use_cache=False).problem
+    assert certificate.rows_that_must_hold(problem)["limit"].tolist() == [True, False]
+    assert not certificate.gives_way(problem, limit)
+    assert certificate.gives_way(problem, replace(limit, slack=[10.0, 1e3]))

@@ -225,6 +225,8 @@ def _list_pairs(data: dict[str, Any], comments: dict[str, str], robot: RobotMode
         ("touching at home, left out", found.close),
     ):
         text += f"\n{name}: {', '.join('-'.join(p) for p in left)}" if left else ""
+    if found.missed:
+        text += f"\nof random states in which bodies are near each other, {found.missed:.1%} have no pair of these"
     text += "\nignore: their shapes overlap in most states, and may in the simulation" if found.drawn else ""
     comments["collision"], comments["collision.self"] = text, ""
     ignored = {"ignore": [list(p) for p in found.drawn]} if found.drawn else {}

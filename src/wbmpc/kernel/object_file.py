@@ -92,7 +92,9 @@ def largest_frame(code: bytes) -> int:
             ]
         elif machine == _AARCH64:
             words = struct.unpack(f"<{length // 4}I", text[: length // 4 * 4])
-            found += [(w >> 10 & 0xFFF) << 12 * (w >> 22 & 1) for w in words if w & 0xFF8003FF == 0xD10003FF]
+            sizes = [(w >> 22 & 1, w >> 10 & 0xFFF) for w in words if w & 0xFF8003FF == 0xD10003FF]
+            # a large frame takes both
+            found.append(sum(max((n << 12 * s for s, n in sizes if s == shifted), default=0) for shifted in (0, 1)))
     return max(size for size in found if size < _MOST)
 
 

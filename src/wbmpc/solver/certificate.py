@@ -37,10 +37,16 @@ def must_hold(problem: Transcription, term: Any) -> bool:
 
 
 def gives_way(problem: Transcription, term: Any) -> bool:
-    """Whether a constraint is a hard limit with an L1 slack (rows of inputs alone have none): whatever the start, there is a
-    solution that misses it."""
+    """Whether a constraint is a hard limit with an L1 slack in all of its rows (those of inputs alone have none): whatever the start, there
+    is a solution that misses it."""
+    soft = _rows_that_give_way(problem, term)
+    return bool(soft.any() and (soft | ~problem.with_state(term)).all())
+
+
+def _rows_that_give_way(problem: Transcription, term: Any) -> np.ndarray:
+    """Which rows of a constraint have an L1 slack: rows of inputs alone have none."""
     alone = problem.with_input(term) & ~problem.with_state(term)
-    return bool(term.hard and not term.equality and np.isfinite(term.slacks).all() and not alone.all())
+    return np.asarray(np.isfinite(term.slacks) & ~alone & (term.hard and not term.equality))
 
 
 def rows_that_must_hold(problem: Transcription) -> dict[str, np.ndarray]:
@@ -48,8 +54,7 @@ def rows_that_must_hold(problem: Transcription) -> dict[str, np.ndarray]:
     found = {}
     for name, term in problem.ocp.terms.items():
         if isinstance(term, Constraint) and must_hold(problem, term):
-            alone = problem.with_input(term) & ~problem.with_state(term)
-            found[name] = alone if gives_way(problem, term) else np.ones(alone.size, bool)
+            found[name] = ~_rows_that_give_way(problem, term)
     return found
 
 

@@ -255,7 +255,10 @@ def _unpacked(path: Path, file: BinaryIO, columns: list[str] | None) -> pyarrow.
 
     kinds = parquet().read_schema(file)
     source = parquet().ParquetFile(file, read_dictionary=[f.name for f in kinds if types.is_string(f.type)])
-    size, found = 0, []
+    about, size, found = source.metadata, 0, []
+    too_large = InputError(f"{path}: unpacks to more than {LARGEST_TABLE} bytes; at most so many are read")
+    if sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups)) > LARGEST_TABLE:
+        raise too_large
     for batch in source.iter_batches(BATCH, columns=columns):
         for column in batch.columns:
             size += column.nbytes
@@ -263,7 +266,7 @@ def _unpacked(path: Path, file: BinaryIO, columns: list[str] | None) -> pyarrow.
                 lengths = compute.binary_length(column.dictionary).take(column.indices)
                 size += compute.sum(lengths).as_py() or 0
         if size > LARGEST_TABLE:
-            raise InputError(f"{path}: unpacks to more than {LARGEST_TABLE} bytes; at most so many are read")
+            raise too_large
         found.append(batch)
     chosen = [f for f in kinds if columns is None or f.name in columns]
     table = pyarrow.Table.from_batches(found, schema=None if found else pyarrow.schema(chosen))

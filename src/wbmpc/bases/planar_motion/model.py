@@ -162,7 +162,8 @@ class PlanarBase:
             shares, m = constant(self.rates[limited] / self.wheel_upper[limited, None]), self.rates.shape[1]
             rows = residuals.Expression(int(limited.sum()), lambda s: shares @ s.u[:m])
             found.append(Constraint("wheels", rows, sets.Box(-1.0, 1.0), hard=hard))
-        if np.isfinite(self.wheel_acceleration).any():
+        # a drive of one of the speeds alone has the limit of that speed
+        if np.isfinite(self.wheel_acceleration).any() and np.count_nonzero(self.rates, axis=1).max() > 1:
             change = WheelAccelerationLimit(robot, ["base"], ACCELERATION_SHARE, base=self)
             found.append(
                 Constraint("wheel_accelerations", change, sets.NonNegative(), hard=True, slack=ACCELERATION_SLACK)
