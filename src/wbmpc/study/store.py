@@ -257,7 +257,8 @@ def _unpacked(path: Path, file: BinaryIO, columns: list[str] | None) -> pyarrow.
     source = parquet().ParquetFile(file, read_dictionary=[f.name for f in kinds if types.is_string(f.type)])
     about, size, found = source.metadata, 0, []
     too_large = InputError(f"{path}: unpacks to more than {LARGEST_TABLE} bytes; at most so many are read")
-    if sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups)) > LARGEST_TABLE:
+    stored = (about.row_group(i).column(j) for i in range(about.num_row_groups) for j in range(about.num_columns))
+    if sum(c.total_uncompressed_size for c in stored if columns is None or c.path_in_schema in columns) > LARGEST_TABLE:
         raise too_large
     for batch in source.iter_batches(BATCH, columns=columns):
         for column in batch.columns:
