@@ -25,7 +25,7 @@ def matrix_product(
     name: str, blocks: int, n: int, inner: int, lda: int, bj: int, bk: int, ldc: int, ldi: int | None, negative: bool,
     budget: int = 24, diagonal: int | None = None,
 ) -> str:  # fmt: skip
-    """C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk] for j < n, k < inner; arguments A, B, C, I (see :func:`product_of_tiles`).
+    """C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk] for j < n, k < inner; arguments A, B, C, I.
 
     ``blocks``: vectors of eight per column; ``ldi`` None: no I; ``budget``: vectors of eight that the registers can add up.
     ``diagonal``: C is symmetric with the diagonal of column j in row ``diagonal + j``; vectors below it are left out.
@@ -33,11 +33,7 @@ def matrix_product(
     if n == 0 or inner == 0:
         raise ValueError("empty product")
     found = [tile for tall, columns in _heights(blocks, n, diagonal) for tile in tiles(range(tall), columns, budget)]
-    return product_of_tiles(name, found, inner, (lda, bj, bk, ldc, ldi), negative)
-
-
-def product_of_tiles(name: str, found: Sequence[Tile], inner: int, strides: Strides, negative: bool = False) -> str:
-    """The tiles of C[:, j] = I[:, j] ± Σ_k A[:, k] B[j bj + k bk]; arguments A, B, C, I."""
+    strides = lda, bj, bk, ldc, ldi
     o = [f"define void @{name}(ptr %A, ptr %B, ptr %C, ptr %I) nounwind {{", "entry:", "br label %b0"]
     for number, (rows, columns) in enumerate(found):
         o += _tile(f"b{number}", rows, columns, inner, strides, negative)

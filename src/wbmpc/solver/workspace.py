@@ -120,7 +120,7 @@ BLOCKS = (
     "row_trial",  # (rows,): values at a trial point of one node
     "lanes",  # (8,)
     "multiplier",  # (equalities,)
-    "signed",  # (general rows,): their multipliers with the sign of the Lagrangian
+    "signed",  # (general rows,): their multipliers with the sign of the Lagrangian; scratch of the KKT residual
     "normal",  # (equalities, equalities)
     "second",  # (nz, lz): second derivatives
     "chained",  # (nz, lz)
