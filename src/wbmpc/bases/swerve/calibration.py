@@ -123,12 +123,14 @@ def _reject_other_legs(geometry: ModuleGeometry, record: WheelRecord) -> None:
 @dataclass(frozen=True)
 class WheelFit:
     """What a record shows of the wheels: ``calibration``, of what was believed ``previous`` (its doubt wider than the one given where
-    the record asked for it); global poses ``used`` and ``given``."""
+    the record asked for it); global poses ``used`` and ``given``; ``deviance`` of those used, see
+    :attr:`~wbmpc.bases.swerve.late_poses.LatePoses.deviance`."""
 
     calibration: WheelCalibration
     previous: WheelCalibration
     used: int
     given: int
+    deviance: float
 
     def hidden(self) -> dict[str, tuple[Array, Array]]:
         """Combinations of the wheels' numbers that the record did not show, of "steer zeros" and of "radii": weights (k, n) of norm
@@ -181,6 +183,8 @@ SURPRISING, WIDER = 2.5, 5.0
 CROOKED = 1.5
 #: Widest standard deviations [rad, relative] of what was believed before: beyond, no encoder is mounted and no tire made.
 MAXIMUM = (0.2, 0.1)
+#: Standard deviations [rad, relative] of wheels that are left out, at least.
+LEFT_OUT = (0.04, 0.02)
 #: Passes over a record; derivatives are good enough when the last pass moved by less than this share of the doubt.
 PASSES, MOVED = 8, 0.1
 #: Rejected share of the global poses, mean normalized squared error of the others (3 is expected), the wheels' contradiction over
@@ -195,14 +199,17 @@ def fit_wheels(
     """Steer zeros and wheel radii that a record shows.
 
     The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
-    found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. A wheel that hangs in the air is left out, with a
-    warning. Raises :class:`InputError` for a record that still contradicts itself then (by its channel 'gyro', where it does not
+    found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Wheels that do not carry the base are left out,
+    those off a :func:`carrying_diagonal` or one that hangs in the air, the latter with a warning: they keep their doubt.
+
+    Raises :class:`InputError` for a record that still contradicts itself then (by its channel 'gyro', where it does not
     without it), or shows nothing; other arguments and errors as of :func:`replay`.
     """
     try:
         fit = _fitted(geometry, record, prior, noise)
         weights = weights_on_the_ground(geometry, record, fit.calibration)
-        return fit if weights is None else _fitted(geometry, record, prior, noise, weights)
+        fit = fit if weights is None else _fitted(geometry, record, prior, noise, weights)
+        return carrying_diagonal(geometry, record, fit, prior, noise) or fit
     except InputError:
         if _fits_without_gyro(geometry, record, prior, noise):
             raise InputError(
@@ -210,6 +217,39 @@ def fit_wheels(
                 "since the row before is needed, in rad/s, positive to the left; or leave the channel out"
             ) from None
         raise
+
+
+#: A deviance that is smaller by this says that a diagonal carries the base: the poses are e^30 times as likely.
+DIAGONAL = 60.0
+
+
+def carrying_diagonal(
+    geometry: ModuleGeometry, record: WheelRecord, fit: WheelFit, prior: WheelCalibration | None,
+    noise: OdometryNoise | None,
+) -> WheelFit | None:  # fmt: skip
+    """The fit to the two wheels of four that carry the base, where it explains the poses much better than the ``fit`` to all; else None.
+
+    Radii that differ by fractions of a millimeter put most of the weight on one diagonal of a rigid base. Wheels that contradict each
+    other slide, and friction is about as large as the load whatever the speed: the wheels with more load determine the motion, alone,
+    and not the mean of all. A record in which each wheel is turned aside for a while shows which. Open hinges are no rigid base.
+    """
+    if geometry.modules != 4 or np.any(record.brake > 0.5):
+        return None
+    legs = record.leg.mean(axis=0) if record.leg.size else np.zeros(4)
+    # loads by which four wheels press each other against the floor: no force, no moments
+    pressed = np.linalg.svd(np.column_stack([np.ones(4), geometry.steer_axes(legs)]).T)[2][-1]
+    best, deviance = None, fit.deviance - DIAGONAL
+    for side in (pressed, -pressed):
+        if np.count_nonzero(side > 0.0) != 2:
+            continue
+        try:
+            found = _fitted(geometry, record, prior, noise, np.where(side > 0.0, 1.0, WEIGHT))
+        except InputError:
+            continue
+        # a pose that is left out would make what others say more likely
+        if found.used >= fit.used and found.deviance < deviance:
+            best, deviance = found, found.deviance
+    return best
 
 
 def _fits_without_gyro(
@@ -230,6 +270,8 @@ def _fitted(
 ) -> WheelFit:  # fmt: skip
     """As :func:`fit_wheels`, whatever it is that contradicts itself."""
     prior = prior or WheelCalibration.unknown(geometry)
+    if weights is not None:
+        prior = _doubted(prior, weights < 1.0)
     previous, start, widened = prior, prior, False
     for _ in range(PASSES):
         odometry = replay(geometry, record, prior=start, noise=noise, weights=weights)
@@ -247,7 +289,17 @@ def _fitted(
         widened, previous = True, replace(previous, covariance=previous.covariance * np.outer(scale, scale))
         start = replace(found, covariance=previous.covariance)
     _checked(odometry, record, previous, found)
-    return WheelFit(found, previous, odometry.global_poses.taken, len(record.places))
+    poses = odometry.global_poses
+    return WheelFit(found, previous, poses.taken, len(record.places), poses.deviance)
+
+
+def _doubted(prior: WheelCalibration, wheels: Array) -> WheelCalibration:
+    """What was known before, nothing of some ``wheels`` (n) bool: who reads the result sees that they were left out."""
+    both, covariance = np.concatenate([wheels, wheels]), prior.covariance.copy()
+    wide = np.maximum(_std(prior), np.repeat(LEFT_OUT, wheels.size))
+    covariance[both, :], covariance[:, both] = 0.0, 0.0
+    covariance[both, both] = wide[both] ** 2
+    return replace(prior, covariance=covariance)
 
 
 def _as_believed(

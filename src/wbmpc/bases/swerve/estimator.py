@@ -145,7 +145,9 @@ class SwerveEstimator:
             steer_offset=wheels.steer_offset,
         )  # fmt: skip
         self._odd = SlippingWheels(geometry, self.wheels_alone) if settings.reject_slipping_wheels else None
-        self._inertial = None if self._odd is None else InertialVelocity(self._odd.seen, robot.inertial_unit)
+        self._inertial = (
+            None if self._odd is None else InertialVelocity(self._odd.seen, robot.inertial_unit, self._known)
+        )
         self._coasting: Array | None = None  # velocity (2) [m/s] by the inertial unit, while wheels slip
         self._arm_offset = settings.arm_offset
         self._smoothing: Smoothing | None = None

@@ -21,7 +21,7 @@ TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005
 #: Times [s] in which the velocity goes to the wheels', and in which accelerations' zeros are learned.
 FOLLOW, ACCELERATION_ZEROS = 0.05, 3.0
 #: A wheel whose velocity is off by this [m/s] counts half.
-NEAR = 0.02
+NEAR = 0.007
 #: What a wheel counts at most of which the controller knows that it slips.
 ANNOUNCED = 0.05
 
@@ -46,13 +46,13 @@ class Memory(NamedTuple):
 
 @step
 def inertial_velocity(
-    n: int, seen: Floats, announced: Floats, weights: Floats, unit: Unit, memory: Memory, over: float, h: float, yaw_rate: float,
-    calm: bool,
+    n: int, seen: Floats, announced: Floats, carries: Floats, weights: Floats, unit: Unit, memory: Memory, over: float, h: float,
+    yaw_rate: float, calm: bool,
 ) -> None:  # fmt: skip
     """Over h [s] with the readings of the ``unit`` and ``yaw_rate`` [rad/s] without its bias: the ``memory``, whose velocity is
     averaged over a time ``over`` [s] as velocities ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that
     go as the unit does. ``calm``: the wheels agree, and the velocity follows them, but for those ``announced`` (n), 1 for wheels that
-    are known to slip; else it follows those near it, the less the fewer they are."""
+    are known to slip; else it follows those near it, the less the fewer they are. Wheels count by ``carries`` (n)."""
     mount, gyro, accel, inertial, averaged = unit.mount, unit.gyro, unit.accel, memory.inertial, memory.averaged
     zero, tilt, rate_zero = memory.zero, memory.tilt, memory.rate_zero
     rests = max(abs(inertial[0]), abs(inertial[1])) < REST
@@ -65,17 +65,19 @@ def inertial_velocity(
     share = 1.0 - np.exp(-h / over)
     averaged[0] += share * (inertial[0] + yaw_rate * mount[1] - averaged[0])
     averaged[1] += share * (inertial[1] - yaw_rate * mount[0] - averaged[1])
-    total, ahead, aside = 0.0, 0.0, 0.0
+    total, ahead, aside, wheels = 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         off_x, off_y = seen[2 * i] - averaged[0], seen[2 * i + 1] - averaged[1]
         weights[i] = 1.0 / (1.0 + (off_x * off_x + off_y * off_y) / (NEAR * NEAR))
         share = weights[i]
         if calm:
             share = ANNOUNCED if announced[i] > 0.5 else 1.0
+        share *= carries[i]
         total += share
+        wheels += carries[i]
         ahead += share * off_x
         aside += share * off_y
-    gain = h / FOLLOW / (max(total, 1e-9) if calm else n)
+    gain = h / FOLLOW / (max(total, 1e-9) if calm else wheels)
     for j in range(2):
         off = gain * (ahead if j == 0 else aside)
         inertial[j] += off
@@ -93,21 +95,22 @@ GAP = 0.1
 class InertialVelocity:
     """Velocity of a base by accelerations and rates, which wheels that agree correct. ``seen`` (n, 2) [m/s]: the base's velocity by each
     wheel, an array that goes on. ``mount`` (3) [m]: where the inertial unit is, in axes of the base. ``weights`` (n): 1 for wheels that
-    go with the base, less for others.
+    go with the base, less for others. ``carries`` (n): what each counts by what is known of it (None: all alike).
 
     Where no wheel is near, the velocity coasts: integrals of accelerations are off by a few mm/s after half a second. What lasts (zeros,
     tilt of the floor) is learned from wheels that agree.
     """
 
-    def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+    def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), carries: Array | None = None) -> None:
         n = seen.size // 2
+        own = np.ones(n) if carries is None else carries.copy()
         self._mount, self._yaw_rate, self._counts = np.array(mount, float), 0.0, False
         pairs = ("inertial", "averaged", "zero", "tilt", "rate_zero")
         self.weights, self._announced, self._arrays = np.ones(n), np.zeros(n), {name: np.zeros(2) for name in pairs}
         self._gyro, self._accel, self._seen = np.zeros(3), np.zeros(3), seen
         arrays = {
-            **self._arrays, "seen": seen, "weights": self.weights, "announced": self._announced, "gyro": self._gyro,
-            "accel": self._accel, "mount": self._mount,
+            **self._arrays, "seen": seen, "weights": self.weights, "announced": self._announced, "carries": own,
+            "gyro": self._gyro, "accel": self._accel, "mount": self._mount,
         }  # fmt: skip
         self._step = bind(inertial_velocity, arrays, n=n, over=OVER)
 

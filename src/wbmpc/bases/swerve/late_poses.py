@@ -30,12 +30,17 @@ class LatePoses:
         self._memory, self.past = memory, deque[Moment]()
         self._spare: Array | None = None  # a record that is not needed any more
         self.taken = self.rejected = self._rejections = 0
-        self._misfits = 0.0
+        self._misfits = self._log_determinants = 0.0
 
     @property
     def misfit(self) -> float:
         """Mean of the normalized squared errors of the global poses taken in: 3 is expected."""
         return self._misfits / max(self.taken, 1)
+
+    @property
+    def deviance(self) -> float:
+        """Of the global poses taken in: -2 times the logarithm of their likelihood, but for a constant for each."""
+        return self._misfits + self._log_determinants
 
     def remember(self) -> None:
         """The state and the interval that the memory holds become past."""
@@ -98,7 +103,7 @@ class LatePoses:
         """The state with a pose taken in that belongs to a moment of the step after it, in which the base moves at ``rates``
         (3); None where it does not fit."""
         error = odometry_filter.apart(state, rates, t, z)
-        misfit = odometry_filter.misfit(state, error, r)
+        misfit, log_determinant = odometry_filter.misfit(state, error, r)
         if misfit > GATE:
             self._rejections += 1
             if self._rejections <= PATIENCE:
@@ -108,4 +113,5 @@ class LatePoses:
             return odometry_filter.replaced(state, error, r)
         self._rejections = 0
         self._misfits += misfit
+        self._log_determinants += log_determinant
         return odometry_filter.corrected(state, error, r)

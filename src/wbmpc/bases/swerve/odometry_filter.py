@@ -97,12 +97,12 @@ def apart(state: State, rates: Array, t: float, pose: Array) -> Array:
     return np.asarray(error)
 
 
-def misfit(state: State, error: Array, r: Array) -> float:
-    """Normalized squared error of a pose that is off by ``error`` (3), with its covariance ``r`` (3, 3). Raises
-    :class:`InputError` where pose and state are both certain."""
+def misfit(state: State, error: Array, r: Array) -> tuple[float, float]:
+    """Normalized squared error of a pose that is off by ``error`` (3), with its covariance ``r`` (3, 3), and the logarithm of the
+    determinant that normalizes it. Raises :class:`InputError` where pose and state are both certain."""
     s = state.p[:3, :3] + r
     _reject_certain(s)
-    return float(error @ np.linalg.solve(s, error))
+    return float(error @ np.linalg.solve(s, error)), float(np.linalg.slogdet(s)[1])
 
 
 def corrected(state: State, error: Array, r: Array) -> State:

@@ -94,13 +94,13 @@ def farthest(n: int, before: Floats, now: Floats) -> float:
 
 @compiled
 def note_contradiction(w: Wheels, o: Odometry) -> None:
-    """Add an interval to the present piece of way: ``off`` (n, 2) and ``rolled_off`` (n) [m]."""
+    """Add an interval to the present piece of way: ``off`` (n, 2) and ``rolled_off`` (n) [m], as far as wheels count."""
     n, residual, off, rolled_off = w.n, w.residual, o.off, o.rolled_off
     piece = 0.0
     for i in range(n):
-        off[2 * i] += residual[2 * i]
-        off[2 * i + 1] += residual[2 * i + 1]
-        rolled_off[i] += abs(w.rolled[i])
+        off[2 * i] += w.weights[i] * residual[2 * i]
+        off[2 * i + 1] += w.weights[i] * residual[2 * i + 1]
+        rolled_off[i] += w.weights[i] * abs(w.rolled[i])
         piece += rolled_off[i]
     if piece < PIECE * n:
         return
