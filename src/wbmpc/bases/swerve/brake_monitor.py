@@ -125,6 +125,11 @@ class BrakeFault:
         return f"brake of {self.name} {self.kind}: the leg {seen} {self.angle:.3f} {self.unit} ({self.time:.2f} s)"
 
 
+def of_a_radian(units: Sequence[str]) -> Array:
+    """How far each leg moves, in its unit, where one that turns moves by 1 rad: 1, or :data:`LEVER`."""
+    return np.array([LEVER if unit == "m" else 1.0 for unit in units])
+
+
 class BrakeMonitor:
     """Watches n legs at a fixed period; ``time`` [s] of the last update.
 
@@ -147,7 +152,7 @@ class BrakeMonitor:
     ) -> None:  # fmt: skip
         positive("brake monitor", expected=expected, patience=patience)
         self.names, self.patience, self._units = list(names), patience, list(units) or ["rad"] * len(names)
-        self._radian = np.array([LEVER if unit == "m" else 1.0 for unit in self._units])  # in the unit of each leg
+        self._radian = of_a_radian(self._units)
         maximum = _positive_rates(limit, len(names)) / self._radian
         self.crawl = np.minimum(CRAWL, CRAWL_SHARE * maximum)
         self.expected = expected * np.minimum(1.0, (maximum - self.crawl) / (FAST - CRAWL))
