@@ -3,7 +3,6 @@ is concerned. Truth: the exit status and messages of the command line's referenc
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,8 @@ from pydantic import Field
 
 import user_base_type
 from test_public_api import RAIL, ROBOT
-from wbmpc import bases
+from user_base_type import fail, leave, leave_at_once, nothing
+from wbmpc import bases, plugins
 from wbmpc.cli import main
 from wbmpc.robots.doctor import propose_bases
 from wbmpc.robots.mechanism import read_mechanism
@@ -34,22 +34,6 @@ class Heavier(Perturbation):
 
 class Crossed(WheelRadii, InertialUnit):
     """Python makes no class of it together with those of robots on wheels, which have these two in the other order."""
-
-
-def fail(*given: Any, **named: Any) -> Any:
-    raise ValueError("it is broken")
-
-
-def leave(*given: Any, **named: Any) -> Any:
-    raise SystemExit(0)
-
-
-def leave_at_once(*given: Any, **named: Any) -> Any:
-    os._exit(0)
-
-
-def nothing(*given: Any, **named: Any) -> Any:
-    return None
 
 
 def forget() -> None:
@@ -92,9 +76,11 @@ def test_its_mistake_is_one_message_and_status_2(
     monkeypatch.setattr(PLUGIN, part, broken, raising=False)
     assert main(["doctor", str(rail)]) == 2
     message = capfd.readouterr().err
-    assert message.startswith(f"{NAMED}: {says}") and message.count("\n") == 1
+    # what it gives back fails elsewhere: whose mistake that is is not known
+    named = NAMED.replace("wbmpc: ", "wbmpc: with ") if broken is nothing else NAMED
+    assert message.startswith(f"{named}: {says}") and message.count("\n") == 1
     if broken in (fail, leave):  # the last line that is called
-        assert f"({__file__}, line {broken.__code__.co_firstlineno + 1})" in message
+        assert f"({user_base_type.__file__}, line {broken.__code__.co_firstlineno + 1})" in message
 
 
 @pytest.mark.parametrize("broken", [fail, leave, leave_at_once])
@@ -135,3 +121,18 @@ def test_another_command_does_not_blame_it(rail: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr("wbmpc.robots.available_robots", fail)
     with pytest.raises(ValueError, match="it is broken"):
         main(["list"])
+
+
+def test_an_error_of_which_nobody_is_seen_to_be_the_cause_names_all_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two packages are in use, and neither is in the traceback. Truth: the names that were noted."""
+    monkeypatch.setattr(plugins, "_IN_USE", {})
+    plugins.note_use("base type 'rail'", "user_base_type:RailBaseType")
+    plugins.note_use("base type 'track'", "own_bases:TrackBaseType")
+    try:
+        int("seven")
+    except ValueError as error:
+        found = str(plugins.mistake_in_use(error))
+    assert found.startswith(
+        "with base type 'rail' of another package (user_base_type:RailBaseType), "
+        "base type 'track' of another package (own_bases:TrackBaseType): ValueError: "
+    )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 
+import pytest
+
 from interrupting import in_time, interrupted
-from wbmpc.logs import MAX_CAUSES, RateLimitFilter
+from wbmpc.logs import MAX_CAUSES, PlaceLimit, RateLimit, RateLimitFilter
 
 
 class Lines(logging.Handler):
@@ -78,3 +80,14 @@ def test_a_handler_that_logs_in_the_middle_does_not_wait_for_what_it_interrupts(
             step += 1
             _, more = interrupted(lambda: limit.left_out("cause"), lambda: limit.left_out("other"), step)
     assert step > 10
+
+
+@pytest.mark.parametrize("by_place", [False, True])
+def test_a_line_that_cannot_be_written_stops_nobody(by_place: bool) -> None:
+    """A filter raises into who logs, which Python's handlers do not. The third line says how many were left out."""
+    times = iter((0.0, 1.0, 10.0))
+    clock = lambda: next(times)
+    limit = PlaceLimit(RateLimit(1, 5.0, clock)) if by_place else RateLimitFilter(5.0, clock)
+    records = [logging.LogRecord("x", logging.ERROR, "x.py", 1, "%d of them", ("seven",), None) for _ in range(3)]
+    assert [limit.filter(record) for record in records] == [True, False, True]
+    assert records[2].getMessage().startswith("%d of them (its text cannot be made) (1 more ")

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import mujoco  # type: ignore[import-untyped]  # MuJoCo has no types
@@ -190,3 +191,20 @@ class RailBaseType(wb.BaseType):
 
     def reshaping(self, robot: wb.RobotModel, mpc: wb.MPC, controller: wb.Controller[Array, Speeds]) -> wb.Reshaping:
         return WithinReach(robot)
+
+
+#: Broken methods, for tests of what is said then.
+def fail(*given: Any, **named: Any) -> Any:
+    raise ValueError("it is broken")
+
+
+def leave(*given: Any, **named: Any) -> Any:
+    raise SystemExit(0)
+
+
+def leave_at_once(*given: Any, **named: Any) -> Any:
+    os._exit(0)
+
+
+def nothing(*given: Any, **named: Any) -> Any:
+    return None

@@ -9,8 +9,9 @@ _INTERRUPTED = 130
 def main() -> int:
     """The exit status of a command; that of a signal too where it comes before the command line is loaded."""
     try:
-        from wbmpc.interrupts import ended_by_signal, terminable
+        from wbmpc.interrupts import ended_by_signal, see_exits, terminable
 
+        see_exits()  # of what a user's program does at the end of the process, too
         with terminable():  # loading takes a second
             return _run() or ended_by_signal()
     except KeyboardInterrupt:

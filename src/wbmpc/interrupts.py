@@ -144,10 +144,27 @@ def interrupts_blocked() -> Iterator[None]:
 @contextmanager
 def exits_seen() -> Iterator[None]:
     """``os._exit`` of this process raises SystemExit in the main thread, and ends with no 0 in others: it would pass for the command's own
-    success."""
+    success. A child that was forked in here ends with it, with a status of its own, and does not go on as a second process with the
+    same command."""
     if not in_main_thread():
         yield
         return
+    process, leave = os.getpid(), see_exits()
+    status = 1
+    try:
+        yield
+    except SystemExit as error:
+        status = error.code if isinstance(error.code, int) else int(error.code is not None)
+        raise
+    finally:
+        if os.getpid() != process:
+            sys.stdout.flush()
+            leave(status)
+        os._exit = leave
+
+
+def see_exits() -> Any:
+    """As :func:`exits_seen`, from now on; what ``os._exit`` was."""
     leave, process = os._exit, os.getpid()
 
     def leave_seen(status: int) -> NoReturn:
@@ -158,10 +175,7 @@ def exits_seen() -> Iterator[None]:
         leave(status or 1)
 
     os._exit = leave_seen
-    try:
-        yield
-    finally:
-        os._exit = leave
+    return leave
 
 
 def interrupted(error: BaseException) -> bool:

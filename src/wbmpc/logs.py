@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
+from wbmpc.errors import NO_TEXT
+
 #: Causes that are known at a time; of more the oldest is forgotten.
 MAX_CAUSES = 1000
 #: Attribute of a record that says whether it passes, once it was counted.
@@ -57,6 +59,14 @@ class RateLimit:
             logger.log(level, "%s%s", message, more, stacklevel=2, extra={_COUNTED: True})
 
 
+def message_of(record: logging.LogRecord) -> str:
+    """Its text, if that can be made: no line may stop who logs it, which can be a control thread."""
+    try:
+        return record.getMessage()
+    except Exception:
+        return f"{record.msg} {NO_TEXT}" if isinstance(record.msg, str) else NO_TEXT
+
+
 class PlaceLimit(logging.Filter):
     """A filter for handlers of a program that others make speak, as a node on a bus: lines of one place in the code are as few as those
     of one cause of a :class:`RateLimit`. What one has counted already passes, also where several handlers have a filter."""
@@ -72,7 +82,7 @@ class PlaceLimit(logging.Filter):
             left_out = self.limit.left_out((record.pathname, record.lineno))
             passes = left_out is not None
             if left_out:
-                record.msg, record.args = f"{record.getMessage()} ({left_out} more of this kind were left out)", None
+                record.msg, record.args = f"{message_of(record)} ({left_out} more of this kind were left out)", None
             setattr(record, _COUNTED, passes)
         return passes
 
@@ -96,7 +106,7 @@ class RateLimitFilter(logging.Filter):
         left_out = self.limit.left_out((record.name, record.levelno, str(record.msg), type(error)))
         if left_out is None:
             return False
-        text = record.getMessage()
+        text = message_of(record)
         if self.brief and error is not None:
             text, record.exc_info, record.exc_text = f"{text}: {type(error).__name__}: {error}", None, None
         record.msg, record.args = text + (f" ({left_out} more like this)" if left_out else ""), None

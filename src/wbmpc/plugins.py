@@ -73,22 +73,18 @@ def forget_uses() -> None:
 
 
 def mistake_in_use(error: BaseException) -> ProgramError | None:
-    """What ended a command that is made of parts of other packages, as an error that names the part and the line: their code has raised it,
-    or gave back what nothing can be done with. None where there are no such parts."""
+    """What ended a command that is made of parts of other packages, as an error that names the part and the line, if their code has raised
+    it, or else all parts: one may have given back what nothing can be done with. None where there are no such parts."""
     if not _IN_USE:
         return None
     calls = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    homes = {what: _home(value) for what, value in _IN_USE.items()}
-    what, at = next(
-        (
-            (what, call)
-            for call in reversed(calls)
-            for what, home in homes.items()
-            if home in (call[0], *call[0].parents)
-        ),
-        (list(_IN_USE)[-1], calls[-1] if calls else (Path(), 0)),
-    )
-    return ProgramError(f"{what} of another package ({_IN_USE[what]}): {described(error)} ({at[0]}, line {at[1]})")
+    named = {_home(value): f"{what} of another package ({value})" for what, value in _IN_USE.items()}
+    for file, line in reversed(calls):
+        for home, part in named.items():
+            if home in (file, *file.parents):
+                return ProgramError(f"{part}: {described(error)} ({file}, line {line})")
+    file, line = calls[-1] if calls else (Path(), 0)
+    return ProgramError(f"with {', '.join(named.values())}: {described(error)} ({file}, line {line})")
 
 
 def _home(value: str) -> Path:

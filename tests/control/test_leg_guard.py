@@ -69,6 +69,22 @@ def test_legs_that_go_the_other_way_or_too_fast_are_held() -> None:
     assert list(guard.holds) == [1, 1, 1]
 
 
+def test_a_leg_that_slides_is_held_where_its_foot_is_as_far_off() -> None:
+    """0.2 m/s are the foot's speed at the end of a leg of 0.4 m that turns by 0.5 rad/s: both are 0.018 rad off after 0.040 s."""
+    guard = LegGuard(2, ["m", "rad"])
+    held = np.array(watched(guard, np.array([0.2, 0.5]), np.zeros(2), 0.2))
+    np.testing.assert_allclose(np.argmax(held, axis=0) * PERIOD, 0.040, atol=2 * PERIOD)
+    supervision = SwerveController(
+        robot("telescope-ur10"), np.zeros(3), PERIOD, BrakeControl(robot("telescope-ur10"))
+    ).supervision
+    assert supervision.guard is not None
+    supervision.guard_legs(0.0, np.zeros(4), np.zeros(4))
+    supervision.commanded = lambda t: np.ones(4)
+    supervision.guard_legs(0.01, np.zeros(4), np.zeros(4))
+    supervision.guard_legs(0.02, np.array([0.006, 0.010, 0.0, 0.0]), np.zeros(4))
+    assert supervision.guard.holds.tolist() == [0, 1, 0, 0]
+
+
 def test_a_leg_that_always_goes_astray_is_held_longer_and_longer() -> None:
     """0.5 rad/s are 0.018 rad off (with the time constant 0.2 s) after −0.2 ln(1 − 0.018 / 0.1) = 0.040 s."""
     guard = LegGuard(1)

@@ -237,3 +237,17 @@ def test_both_back_ends_find_the_same() -> None:
         assert found == other.update(SwerveReadings(0.01 * k, leg, brake, rate))
         kinds |= {fault.kind for fault in found}
     assert {"does not hold", "does not open"} <= kinds
+
+
+def test_thresholds_of_legs_that_slide_are_those_of_feet_that_go_as_far() -> None:
+    """Three legs of four: one slips by 6 mm, at the end of a leg of 0.4 m 15 mrad; one stands though it is planned to slide by 0.3 m; one
+    moves by 5 mm/s, 12.5 mrad/s of such a leg. The fourth is a hinge that turns by 6 mrad, which is none."""
+    monitor = BrakeMonitor(NAMES, limit=0.17, units=["m", "m", "m", "rad"])
+    for t in np.arange(0.0, 4.0, 0.0025):
+        leg = np.array([6e-3 * (t > 2.0), 0.0, 5e-3 * t, 6e-3 * (t > 2.0)])
+        monitor.update(SwerveReadings(t, leg, [0.0, 1.0, 1.0, 0.0], [0.0, 0.12, 0.12, 0.0]))
+    assert [(f.name, f.kind, f.unit) for f in monitor.faults] == [
+        ("b", "does not open", "m"), ("a", "does not hold", "m"),
+    ]  # fmt: skip
+    assert monitor.faults[1].angle == pytest.approx(6e-3, abs=1e-5)  # [m], as a ruler says
+    assert monitor.faults[0].time < 2.0 and monitor.faults[1].time == pytest.approx(2.0, abs=0.01)

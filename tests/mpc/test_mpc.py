@@ -224,8 +224,10 @@ def test_observations_are_checked() -> None:
             mpc.reset(x, u)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"did you mean 'state'\?"):
         mpc.reference["stat"] = Reference.constant(np.zeros(4))
-    assert "state" in mpc.reference
-    assert "end_effector" not in mpc.reference
+    with pytest.raises(InputError, match=r"did you mean 'state'\?"):
+        mpc.reference["stat"]
+    assert list(mpc.reference) == ["state"]
+    assert "state" in mpc.reference and "end_effector" not in mpc.reference
     np.testing.assert_array_equal(mpc.reference["state"].values, np.zeros((1, 4)))
 
 

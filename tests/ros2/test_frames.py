@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
@@ -12,7 +13,8 @@ import pytest
 from needs import MISSING, needs_dds, private
 
 from frame_tree import joined, of_transforms, of_urdf, place, root
-from wbmpc.model.robot import load_robot
+from planar_driving import write_robot
+from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.bus import LATCHED
 from wbmpc.ros2.convert import seconds
@@ -63,13 +65,14 @@ def test_bus_and_description_are_one_tree(name: str, joints: dict[str, str]) -> 
     np.testing.assert_allclose(place(imu.transform)[0], origin, atol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "frames"), [("swerve-ur10", {"base": "imu"}), ("panda", {"world": "imu"})])
-def test_the_inertial_units_frame_is_none_of_the_base_or_the_world(name: str, frames: dict[str, str]) -> None:
-    """Whatever the settings call those."""
-    robot, node = load_robot(name), open_node("robot", "dds", Network.of(private()))
+def check_inertial_frame(robot: RobotModel, frames: dict[str, str]) -> None:
+    """What the simulated robot sends once, and its description, are one tree, in which the inertial unit's messages have their frame."""
+    node = open_node("robot", "dds", Network.of(private()))
     try:
         sim = SimNode(node, robot, settings_of(robot).model_validate({"frames": frames}))
-        frame = sim._imu_frame()
+        own = sim.settings.frames
+        text = to_urdf(robot.description, own.base, own.world)
+        frame = sim._imu_frame(text)
         header = SimpleNamespace(**frame["header"])
         sent = SimpleNamespace(header=header, child_frame_id=frame["child_frame_id"])
         static = of_transforms([SimpleNamespace(transforms=[sent])])
@@ -78,10 +81,26 @@ def test_the_inertial_units_frame_is_none_of_the_base_or_the_world(name: str, fr
         sim.publish()
     finally:
         node.close()
-    own = sim.settings.frames
-    _, joints = of_urdf(to_urdf(robot.description, own.base, own.world))
+    _, joints = of_urdf(text)
     parents = joined(joints, static, {own.base: own.world})
+    moving = [j for j in ElementTree.fromstring(text).findall("joint") if j.get("type") != "fixed"]
+    assert not any(j.find("child").get("link") in static for j in moving)  # type: ignore[union-attr]
     assert said[0]["header"]["frame_id"] in static and root(parents, said[0]["header"]["frame_id"]) == own.world
+
+
+@pytest.mark.parametrize(("name", "frames"), [("swerve-ur10", {"base": "imu"}), ("panda", {"world": "imu"})])
+def test_the_inertial_units_frame_is_none_of_the_base_or_the_world(name: str, frames: dict[str, str]) -> None:
+    """Whatever the settings call those."""
+    check_inertial_frame(load_robot(name), frames)
+
+
+@pytest.mark.parametrize("link", ["upper", "shoulder"])
+def test_a_link_may_be_called_like_the_inertial_units_frame(link: str, tmp_path: Path) -> None:
+    """A part of the arm: the description has another parent for it, or another place."""
+    file = write_robot(tmp_path, [((0.1, y), (0.0, 1.0, 0.0)) for y in (0.2, -0.2)], {"type": "differential"})
+    model = file.with_suffix(".xml")
+    model.write_text(model.read_text().replace(f'name="{link}"', 'name="imu"'))
+    check_inertial_frame(load_robot(file), {})
 
 
 @pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10", "rezero", "panda"])

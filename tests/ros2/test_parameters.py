@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -196,6 +197,29 @@ def test_log_lines_are_on_rosout_for_late_joiners_too(pair: Callable[..., Any]) 
     lines.clear()
     logging.getLogger("wbmpc").warning("after the end")
     assert rosout_handlers() <= others
+
+
+class Silent:
+    """A user's fault whose message cannot be written."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no text")
+
+
+def test_no_line_stops_who_logs_it_and_names_that_are_no_text_are_readable(pair: Callable[..., Any]) -> None:
+    """Who logs may be the control thread. Truth: Python's own handlers raise nothing; a name with a byte that is not UTF-8."""
+    others = rosout_handlers()
+    p = pair()
+    p.ready()
+    lines: list[Any] = []
+    p.standin.node.subscribe("/rosout", "rcl_interfaces/msg/Log", lines.append, Qos(latched=True, depth=100))
+    (handler,) = rosout_handlers() - others
+    for k, (words, given) in enumerate((("%s slips", Silent()), ("%d", "7"), ("scene %s", os.fsdecode(b"caf\xe9")))):
+        handler.handle(logging.LogRecord("wbmpc", logging.ERROR, "x.py", k, words, (given,), None))
+    p.run(0.1)
+    assert wait_until(lambda: any("scene" in m.msg for m in lines))
+    said = [m.msg for m in lines if m.line < 3]
+    assert said == ["%s slips (its text cannot be made)", "%d (its text cannot be made)", "scene caf\\udce9"]
 
 
 def test_a_controller_that_cannot_be_made_leaves_no_handler_of_log_lines(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,6 +86,26 @@ def test_the_base_goes_to_its_goal() -> None:
     assert truth.pose[2] > 0.1 and truth.pose[0] > 0.05
 
 
+@pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10"])
+@pytest.mark.parametrize("turned", [3.0, -3.3, 9.0, -40.0])
+def test_a_base_turns_to_its_goal_by_the_shorter_way_however_often_it_has_turned(name: str, turned: float) -> None:
+    """A page's goal is a quaternion, and says no turns. Truth: the goal's direction as it was sent, and the turn from the state."""
+    running = drive(made, name, 0.01, [])
+    steering, requests, drift = UserCommands(running, np.zeros(3)), no_requests(), NOWHERE.copy()
+    x = running.controller.state().copy()
+    x[running.mpc.dynamics.state["base"]] = [0.3, -0.2, turned]
+    running.controller.state = lambda: x
+    drift[3:] = lie.quaternion_about((0.0, 0.0, 1.0), 0.4)
+    for k, way in enumerate((0.3, -0.3, 3.0)):
+        direction = turned + way + 0.4
+        goal = np.arctan2(np.sin(direction), np.cos(direction))
+        requests["base_goals"][...], requests["base_goal"][...] = k + 1, [0.2, 0.0, goal]
+        steering.apply(0.1 * k, requests, drift)
+        found = running.mpc.reference["state"].at(0.1 * k)[running.mpc.dynamics.state["base"]]
+        assert found[2] - turned == pytest.approx(way, abs=1e-9)
+        np.testing.assert_allclose(found[:2], [0.2 * np.cos(0.4), -0.2 * np.sin(0.4)], atol=1e-9)
+
+
 def test_a_base_that_stands_turns_its_wheels_first() -> None:
     """Straight wheels, a base that is to turn on the spot: their rows see nothing at standstill (it stays at 0 without)."""
     running = drive(made, "swerve-ur10", 2.5, [(0.1, {"base_goals": 1, "base_goal": [0.0, 0.0, 0.3]})])

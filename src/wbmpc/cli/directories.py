@@ -97,16 +97,11 @@ def resumed_directory(option: str, path: Path, marks: Iterable[str]) -> Iterator
     """As :func:`writable_directory`, of a command that goes on with what is in ``path``, and replaces pages there.
 
     Raises :class:`InputError` too if the directory has files, but none that fits one of the patterns ``marks``: these are
-    something else's, as those of the file system's root. So it is with links to files: names are the command's, and the user has not
-    named what is written there.
+    something else's, as those of the file system's root. So it is with links to files (:func:`reject_links`).
     """
     with _empty_ones_removed(path, *path.parents):
         _make(option, path)
-        link = next((entry for entry in sorted(path.iterdir()) if entry.is_symlink() and not entry.is_dir()), None)
-        if link is not None:
-            raise InputError(
-                f"{option}: '{link}' is a link: another file would be written; remove it, or give another directory"
-            )
+        reject_links(option, (entry for entry in sorted(path.iterdir()) if not entry.is_dir()))
         strange = next((entry.name for entry in sorted(path.iterdir()) if not entry.name.startswith(".")), None)
         if strange is not None and not any(next(path.glob(mark), None) for mark in marks):
             raise InputError(
@@ -144,6 +139,16 @@ def reject_existing(option: str, paths: Iterable[Path], force: bool) -> None:
             raise InputError(f"{option}: '{path}' is a pipe, whose reader may never come; give a file")
         if path.exists() and not force:
             raise InputError(f"{option}: '{path}' is there already; give another name, or --force to replace it")
+
+
+def reject_links(option: str, paths: Iterable[Path]) -> None:
+    """Raise :class:`InputError` naming the first that is a link: the names are the command's, and the user has not named what is written
+    there."""
+    for path in paths:
+        if path.is_symlink():
+            raise InputError(
+                f"{option}: '{path}' is a link: another file would be written; remove it, or give another directory"
+            )
 
 
 def _free(path: Path) -> Path:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from wbmpc.cli.directories import AsJson, Force, reject_existing, writable_directory
+from wbmpc.cli.directories import AsJson, Force, reject_existing, reject_links, writable_directory
 from wbmpc.cli.terminal import ABORTED
 from wbmpc.errors import printable
 
@@ -41,7 +41,9 @@ def export(
 
     if check:
         tools(target)
-    reject_existing("--out", [out / name for name in files(prefix, check)], force)
+    written = [out / name for name in files(prefix, check)]
+    reject_links("--out", written)
+    reject_existing("--out", written, force)
     mpc = load_mpc(problem)
     with writable_directory("--out", out):
         done = write(mpc, out, prefix=prefix, target=target, samples=samples)

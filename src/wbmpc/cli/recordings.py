@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.cli.directories import AsJson, Force, new_directory, new_file, reject_existing, writable_directory
+from wbmpc.cli.directories import (
+    AsJson,
+    Force,
+    new_directory,
+    new_file,
+    reject_existing,
+    reject_links,
+    writable_directory,
+)
 from wbmpc.errors import printable
 from wbmpc.output_file import write_text
 
@@ -107,6 +115,7 @@ def export(
     with ExitStack() as made:
 
         def check(files: list[Path]) -> None:
+            reject_links("--out", files)
             reject_existing("--out", files, force)
             made.enter_context(writable_directory("--out", directory))
 

@@ -46,6 +46,10 @@ def show_settings(model: type[BaseModel], name: str, as_json: bool, values: Base
     console().print(shown)
 
 
+#: The file of a run in which weights were moved.
+WEIGHTS = "weights.yaml"
+
+
 def write_weights(factors: Mapping[str, float], before: Mapping[str, float], directory: Path) -> dict[str, str]:
     """A settings file of the weights' ``factors`` by cost, in place of those ``before`` the run, if any was moved; its path by "weights"."""
     if not factors:
@@ -53,7 +57,7 @@ def write_weights(factors: Mapping[str, float], before: Mapping[str, float], dir
     from wbmpc.output_file import write_text
     from wbmpc.robots.robot_yaml import write_yaml
 
-    path = directory / "weights.yaml"
+    path = directory / WEIGHTS
     text = "Factors of the costs' weights as the sliders were left: wbmpc run NAME --config weights.yaml"
     write_text(path, write_yaml({"weights": {**before, **factors}}, {"": text}))
     return {"weights": str(path)}
@@ -116,7 +120,7 @@ def _attempt(
     from wbmpc.simulation.lockstep import Watch, interrupt_noted
 
     plain = settings.model_dump(mode="json")
-    with run_directory(out, name, seed) as directory:
+    with run_directory(out, name, seed, (WEIGHTS,)) as directory:
         _LOG.info("%s, seed %d: files go into %s", name, seed, directory)
         _LOG.info("settings: %s", json.dumps(plain))
         recorder = Recorder(directory / RECORDING, about_run(name, seed, plain), limit)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from wbmpc.errors import unknown_name
 from wbmpc.ocp import Reference
 from wbmpc.solver import Solver
 
@@ -20,7 +23,12 @@ class References:
         self._solver.set_reference(name, reference)
 
     def __getitem__(self, name: str) -> Reference:
+        if name not in self:
+            raise unknown_name("reference", name, self)
         return self._solver.references[name]
 
-    def __contains__(self, name: str) -> bool:
+    def __contains__(self, name: object) -> bool:
         return name in self._solver.references
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._solver.references)

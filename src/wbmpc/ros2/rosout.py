@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from wbmpc.logs import PlaceLimit
+from wbmpc.logs import PlaceLimit, message_of
 from wbmpc.ros2.bus import Node, Qos
 from wbmpc.ros2.convert import stamp
 
@@ -15,6 +15,11 @@ from wbmpc.ros2.convert import stamp
 _QOS = Qos(latched=True, depth=100)
 #: Lines that wait to be sent; of more the oldest are dropped.
 _MAXIMUM = 100
+
+
+def _text(words: str) -> str:
+    """As UTF-8 has it: names of files may be none."""
+    return words.encode("utf-8", "backslashreplace").decode()
 
 
 class Rosout(logging.Handler):
@@ -38,7 +43,8 @@ class Rosout(logging.Handler):
         """Keep a record until it is sent."""
         self._waiting.append({
             "stamp": stamp(self._now()), "level": min(record.levelno // 10 * 10, 50) or 10, "name": self._node_name,
-            "msg": record.getMessage(), "file": record.pathname, "function": record.funcName or "", "line": record.lineno,
+            "msg": _text(message_of(record)), "file": _text(record.pathname), "function": record.funcName or "",
+            "line": record.lineno,
         })  # fmt: skip
 
     def send(self) -> None:

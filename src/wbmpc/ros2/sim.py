@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from wbmpc.bases.base import WHEELS
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
-from wbmpc.robots.frames import SUFFIX, FixedFrame, fixed_frames
+from wbmpc.robots.frames import MAP, SUFFIX, FixedFrame, fixed_frames, free_name
 from wbmpc.robots.urdf import to_urdf
 from wbmpc.ros2.base_driver import SimulatedDriver, ordered_speeds
 from wbmpc.ros2.bus import DEFAULT, LATCHED, LONG, SMALL, Node, Qos
@@ -97,10 +98,10 @@ class SimNode:
         self._odom = self.node.publisher(TRUTH_ODOM, "nav_msgs/msg/Odometry")
         self._end_effector = self.node.publisher(TRUTH_END_EFFECTOR, "geometry_msgs/msg/PoseStamped")
         self._reader, self._forces = SceneReader(self.plant.model, self.robot.description.base.body), {}  # type: ignore[var-annotated]
-        fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
-        fixed.publish({"transforms": [self._imu_frame()]})
-        described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
         text = to_urdf(self.robot.description, frames.base, frames.world, self.settings.joints)
+        fixed = self.node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
+        fixed.publish({"transforms": [self._imu_frame(text)]})
+        described = self.node.publisher("/robot_description", "std_msgs/msg/String", LATCHED)
         described.publish({"data": text})
         self._bus_names = {n: [self.settings.bus_name(j) for j in c.joints] for n, c in self._controllers.items()}
         self._order = {g: [self.settings.bus_name(n) for n in names] for g, names in joint_groups(self.robot).items()}
@@ -110,13 +111,15 @@ class SimNode:
             follow, largest = partial(self._follow, name, target), LONG if controller.takes == "trajectory" else SMALL
             self.node.subscribe(controller.topic, controller.type, follow, DEFAULT, largest=largest)
 
-    def _imu_frame(self) -> dict[str, Any]:
-        """As the URDF has it, or where the simulated one is: for those who run no robot_state_publisher."""
+    def _imu_frame(self, described: str) -> dict[str, Any]:
+        """As the URDF ``described`` has its point, or where the simulated one is, under a name that no link there has: for those who run no
+        robot_state_publisher."""
         frames = self.settings.frames
         points = fixed_frames(self.robot.description, frames.base, frames.world)
         at = np.concatenate([self.side.imu_at, [1.0, 0.0, 0.0, 0.0]])
-        free = IMU + SUFFIX if IMU in (frames.base, frames.world) else IMU
-        imu = next((p for p in points if p.name in (IMU, IMU + SUFFIX)), FixedFrame(free, frames.base, at))
+        links = {link.get("name", "") for link in ElementTree.fromstring(described).iter("link")}
+        free = FixedFrame(free_name(IMU, {frames.base, frames.world, MAP, *links}), frames.base, at)
+        imu = next((p for p in points if p.name in (IMU, IMU + SUFFIX)), free)
         self._imu_name = imu.name
         transform = {"translation": vector(imu.pose[:3]), "rotation": quaternion(imu.pose[3:])}
         return {"header": header(self.now(), imu.parent), "child_frame_id": imu.name, "transform": transform}

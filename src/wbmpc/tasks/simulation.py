@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -82,7 +83,7 @@ def _directory(out: str | Path) -> Path:
         raise InputError(f"simulate: out: '{path}' cannot be made ({error.strerror})") from error
     except ValueError as error:  # a name that no file system takes
         raise InputError(f"simulate: out: {out!r} cannot be made ({error})") from error
-    present = [file for file in RUN_FILES if (path / file).exists()]
+    present = [file for file in RUN_FILES if os.path.lexists(path / file)]  # nor links
     if present:
         raise InputError(f"simulate: out: '{path}' has a run already ('{present[0]}'); give another directory")
     return path

@@ -185,8 +185,13 @@ class UserCommands:
         return lie.pose_between(drift, checked)
 
     def _near_planar(self, goal: Array, drift: Array) -> Array:
+        """As :meth:`_near`, of the base: by the shorter turn from where it is, however often it has turned."""
         checked = bounds.planar(goal, lie.pose_compose(drift, spatial(self._here()))[:2])
-        return planar(lie.pose_between(drift, spatial(checked)))
+        found = planar(lie.pose_between(drift, spatial(checked)))
+        if self.base_of(self.mpc):
+            yaw = self._controller.state()[self._planner.dynamics.state["base"]][2]
+            found[2] = yaw + lie.wrapped(found[2] - yaw)
+        return found
 
     def _put_obstacle(self, box: Array, drift: Array) -> None:
         """Put, move or take away the user's cube."""

@@ -22,6 +22,8 @@ from wbmpc.errors import InputError
 from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import bind, zeros
 
+#: A leg that slides by this [m] counts as one that turns by 1 rad: its foot goes as far as that of a hinged leg of the usual length.
+LEVER = 0.4
 #: Motion [rad] of a leg that is held which is a fault, less what is no faster than this [rad/s]; motion [rad] that is none: a few counts.
 MOVED, CREEP, STILL = 0.01, 2e-4, 0.0015
 #: Time constant [s] of planned motion; time [s] after a command in which nothing is judged; planned rates [rad/s] that do not count.
@@ -123,6 +125,11 @@ class BrakeFault:
         return f"brake of {self.name} {self.kind}: the leg {seen} {self.angle:.3f} {self.unit} ({self.time:.2f} s)"
 
 
+def of_a_radian(units: Sequence[str]) -> Array:
+    """How far each leg moves, in its unit, where one that turns moves by 1 rad: 1, or :data:`LEVER`."""
+    return np.array([LEVER if unit == "m" else 1.0 for unit in units])
+
+
 class BrakeMonitor:
     """Watches n legs at a fixed period; ``time`` [s] of the last update.
 
@@ -130,13 +137,13 @@ class BrakeMonitor:
     [rad]: planned motion of an open leg during which it has stayed within :data:`STILL` for
     ``patience`` [s]: on a bump, too, the base turns in place of legs, until all wheels are down again; plans are forgotten with
     the time constant :data:`WINDOW`, and rates below :data:`CRAWL` do not count, for a leg is also held by small rates.
-    ``limit`` (n) [rad/s]: largest planned rates; where they are small, so are these (:data:`CRAWL_SHARE` of the limit at
+    ``limit`` (n) [rad/s, or m/s]: largest planned rates; where they are small, so are these (:data:`CRAWL_SHARE` of the limit at
     most) and ``expected``. For :data:`SETTLE` after a command nothing is judged: brakes take their time. The base may move in place
     of a leg that is stuck, and then other legs move too little as well: those that did not stand as long as the first are
     judged again, from the beginning, once the plan has held it as long. ``faults``: all that were reported; ``withdrawn``:
     those that were taken back, of legs that were said not to open and then moved by as much, or not to hold and then stood as
-    one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip). ``units``: what
-    messages say of each leg, by default "rad".
+    one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip). ``units``:
+    of each leg, by default "rad"; for those that slide ("m") all these are lengths, :data:`LEVER` for a radian.
     """
 
     def __init__(
@@ -144,8 +151,9 @@ class BrakeMonitor:
         units: Sequence[str] = (),
     ) -> None:  # fmt: skip
         positive("brake monitor", expected=expected, patience=patience)
-        maximum = _positive_rates(limit, len(names))
         self.names, self.patience, self._units = list(names), patience, list(units) or ["rad"] * len(names)
+        self._radian = of_a_radian(self._units)
+        maximum = _positive_rates(limit, len(names)) / self._radian
         self.crawl = np.minimum(CRAWL, CRAWL_SHARE * maximum)
         self.expected = expected * np.minimum(1.0, (maximum - self.crawl) / (FAST - CRAWL))
         self.faults: list[BrakeFault] = []
@@ -211,13 +219,13 @@ class BrakeMonitor:
         return new
 
     def _checked(self, t: float, leg: ArrayLike, brake: ArrayLike, rate: ArrayLike) -> tuple[Array, Array, Array]:
-        """What :meth:`update` was given, as arrays (n)."""
+        """What :meth:`update` was given, as arrays (n) in radians."""
         who, n = "brake monitor", len(self.names)
         finite(who, time=t)
         if t < self.time:
             raise InputError(f"{who}: time must not go back, got {t:.6g} s after {self.time:.6g} s")
         is_open = numbers(who, "brake", brake, n)
-        return numbers(who, "leg", leg, n), is_open, numbers(who, "rate", rate, n)
+        return numbers(who, "leg", leg, n) / self._radian, is_open, numbers(who, "rate", rate, n) / self._radian
 
     def _withdraw(self, t: float, angle: Array) -> list[BrakeFault]:
         """Legs that were said not to open and have moved since, and those that were said not to hold and stand."""
@@ -246,7 +254,7 @@ class BrakeMonitor:
         return self._fault(t, i, "does not open", float(self._planned[i])) if self._stands(i) else None
 
     def _fault(self, t: float, i: int, kind: Kind, moved: float) -> BrakeFault:
-        return BrakeFault(t, i, self.names[i], kind, moved, self._units[i])
+        return BrakeFault(t, i, self.names[i], kind, moved * float(self._radian[i]), self._units[i])
 
 
 def _positive_rates(limit: ArrayLike, n: int) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BrakeControl
-from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings
+from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings, of_a_radian
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.checks import finite, numbers
 from wbmpc.control.monitor import Fault, Monitor
@@ -54,11 +54,13 @@ class LegGuard:
     It is held for :data:`HOLD`; if it goes astray again within :data:`AGAIN` of opening, for twice as long as the last time, up to
     :data:`LONGEST`. No two legs open within :data:`APART`: those that are held meanwhile hold the base.
 
-    ``until`` (n) [s]: when each opens, or has opened (−inf: was never held); ``holds`` (n): how often each was held.
+    ``until`` (n) [s]: when each opens, or has opened (−inf: was never held); ``holds`` (n): how often each was held. ``units`` of the
+    legs, as those of :class:`BrakeMonitor`.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, units: Sequence[str] = ()) -> None:
         self.holds = np.zeros(n, int)
+        self._away = AWAY * of_a_radian(units or ["rad"] * n)
         self.restart()
 
     def restart(self) -> None:
@@ -98,7 +100,7 @@ class LegGuard:
         kept = np.exp(-h / WINDOW)
         self._moved = np.where(free, kept * self._moved + (angle - last), 0.0)
         self._planned = np.where(free, kept * self._planned + h * planned, 0.0)
-        astray = free & (np.abs(self._moved - self._planned) - np.abs(self._planned) > AWAY)
+        astray = free & (np.abs(self._moved - self._planned) - np.abs(self._planned) > self._away)
         if astray.any():
             self._begin(t, astray)
         return [LegHold(t, int(i), float(self.until[i])) for i in np.flatnonzero(previous != self.until)]
@@ -169,6 +171,7 @@ class BrakeSupervision:
         self, robot: RobotModel, period: float, brakes: BrakeControl | Brakes | None, settings: SupervisionSettings
     ) -> None:
         self._hinges = len(robot.state.groups.get("leg", ()))
+        self._units = robot.state.unit_groups.get("leg", ())
         self._period, self._settings, self.report = period, settings, settings.report
         self.monitor: WatchesBrakes | None = settings.monitor or brake_monitor(robot)
         self.monitors: list[Monitor[SwerveReadings]] = [] if self.monitor is None else [self.monitor]
@@ -190,7 +193,7 @@ class BrakeSupervision:
         self._control, self._hold = brakes, self._settings.hold or brakes.hold
         self.commanded = brakes.commanded
         if self._settings.guard and self.guard is None:
-            self.guard = LegGuard(self._hinges)
+            self.guard = LegGuard(self._hinges, self._units)
 
     @property
     def faults(self) -> list[Fault]:
