@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from wbmpc.arrays import Array
 from wbmpc.configuration import OneOf
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
@@ -26,7 +27,6 @@ from wbmpc.tasks.settings import MujocoPlant, TaskMpcSettings, TaskSettings
 from wbmpc.tasks.tip_over import LIFTED, reaching
 from wbmpc.types import Truth
 
-Array = np.ndarray
 NAME = "swerve-fast"
 
 

@@ -20,11 +20,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: Standard deviations [m] of c and b beforehand, of each axis: about those of the 100 kg robot with
 #: masses ±5 % and centers of mass ±10 mm (3.3 and 2.6 mm, 2.2 and 1.2 mm rms over twenty draws).
 BASE, ARM = 0.004, 0.002
