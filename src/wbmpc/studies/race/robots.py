@@ -15,7 +15,9 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.studies.race import MAKERS
+from wbmpc.studies.race.ballbot import ballbot
+from wbmpc.studies.race.differential import differential_manipulator
+from wbmpc.studies.race.swerve import swerve
 from wbmpc.tasks.paths import SinePath
 
 Limits = Literal["hard", "soft"]
@@ -85,9 +87,9 @@ RACE = RaceProblems(
         "ball robot with arm, 65 intervals": lambda settings: rezero_bench(65, settings),
     },
     sizes={
-        "ballbot": (MAKERS["ballbot"], 0.62, 5.0),
-        "differential-manipulator": (MAKERS["differential-manipulator"], 0.26, 5.0),
-        "swerve-base": (MAKERS["swerve-base"], 3.1, 5.0),
-        "swerve-arm": (MAKERS["swerve-arm"], 4.7, 4.0),
+        "ballbot": (ballbot, 0.62, 5.0),
+        "differential-manipulator": (differential_manipulator, 0.26, 5.0),
+        "swerve-base": (partial(swerve, arm=False), 3.1, 5.0),
+        "swerve-arm": (partial(swerve, arm=True), 4.7, 4.0),
     },
 )
