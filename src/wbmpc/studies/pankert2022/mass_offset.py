@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wbmpc.arrays import Array
+from wbmpc.checks import positive
 from wbmpc.errors import InputError
 
 #: Standard deviations [m] of c and b beforehand, of each axis: about those of the 100 kg robot with
@@ -94,8 +95,7 @@ def estimate_mass_offset(
     parallel show c. What of b is along an arm that always tips at right angles to the edge never shows, nor does it change when it
     tips there. Raises :class:`InputError` for spreads that are not positive, and values that are not finite.
     """
-    if not all(0.0 < s < np.inf for s in (base, arm, seen)):
-        raise InputError(f"mass offset: spreads must be positive and finite, got {base:g}, {arm:g} and {seen:g} m")
+    positive("mass offset, spreads", base=base, arm=arm, seen=seen)
     prior = np.array([base, base, arm, arm])
     pairs = [t.row() for t in tippings]
     rows = np.array([r for r, _ in pairs]).reshape(-1, 4) * prior / seen  # both sides in standard deviations
