@@ -85,7 +85,7 @@ def test_smooth_l1_is_quadratic_near_and_linear_far() -> None:
     ],
 )
 def test_bad_norms(make) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(InputError, match="positive|finite"):
+    with pytest.raises(InputError, match=r"positive|finite"):
         make()
 
 

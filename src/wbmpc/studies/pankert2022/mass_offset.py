@@ -73,11 +73,6 @@ class MassOffset:
         """The shift (..., 2) [m] with the arm's headings (...) [rad], in axes of the base."""
         return np.asarray(self.base + _turned(heading) @ self.arm)
 
-    def spread(self, tipping: Tipping) -> float:
-        """Standard deviation [m] of where the zero-moment point is across a tipping's edge."""
-        row, _ = tipping.row()
-        return float(np.sqrt(row @ self.covariance @ row))
-
 
 def _turned(heading: ArrayLike) -> Array:
     """Rotation matrices (..., 2, 2) of angles (...) [rad]."""
