@@ -360,10 +360,14 @@ class MPC(Described):
 
         after = self._plan_check.recovery(self._outcome[0])
         if after == RESTART:
-            restart_from(self.solver, self.path.wide(observation.x))
-            self._t = None
+            self._restart(observation)
         elif after == RESUME:
             self._resume(x, u, t)
+
+    def _restart(self, observation: Observation) -> None:
+        """The next plan starts from the observation alone."""
+        restart_from(self.solver, self.path.wide(observation.x))
+        self._t = None
 
     def _check(self, observation: Observation) -> None:
         if not abs(observation.t) <= LATEST:
@@ -379,8 +383,7 @@ class MPC(Described):
         if last is None:
             found = self.solver._certified(*self._outcome)
             if self._plan_check.broken(self._outcome[0]):
-                restart_from(self.solver, self.path.wide(observation.x))
-                self._t = None
+                self._restart(observation)
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
         self._recover(observation, last.x, last.u, float(last.times[0]))
