@@ -59,7 +59,6 @@ def swerve_bench(
 def rezero_bench(
     intervals: int = 65,
     settings: SQP | None = None,
-    step: float = 0.1,
     limits: Limits = "hard",
     horizon: float | None = None,
 ) -> Problem:
@@ -71,7 +70,7 @@ def rezero_bench(
     home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     u0 = np.concatenate([torque, np.zeros(3)])
     position, orientation = robot.pose(home)
-    solver.set_reference("end_effector", Reference.poses([0.0], [position + [step, 0.0, 0.0]], orientation))
+    solver.set_reference("end_effector", Reference.poses([0.0], [position + [0.1, 0.0, 0.0]], orientation))
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(u0))
