@@ -20,8 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.libraries import library_folder
-from wbmpc.benchmark.program import COMPILER_FLAGS, LARGE, Program, Samples, compiler
+from wbmpc.benchmark.program import COMPILER_FLAGS, LARGE, Program, Samples, compiler, library_folder
 from wbmpc.kernel.cache import trusted_file
 from wbmpc.ocp.constraint_classification import Kind, Row
 

@@ -21,7 +21,7 @@ import numpy as np
 from wbmpc.kernel.cache import UntrustedCache, trusted_file, trusted_folder
 from wbmpc.model.robot import load_robot
 from wbmpc.model.tree import Link
-from wbmpc.studies.race.torque_arm import (
+from whole_race.torque_arm import (
     ANGLE,
     ARMATURE,
     END_EFFECTOR_WEIGHT,
@@ -30,7 +30,7 @@ from wbmpc.studies.race.torque_arm import (
     TORQUE,
     torque_arm_links,
 )
-from wbmpc.studies.race.torque_arm import torque_arm as arm
+from whole_race.torque_arm import torque_arm as arm
 
 REQUIREMENTS = ("crocoddyl", "pin<4.1")
 
@@ -64,7 +64,7 @@ def _links(links: Sequence[Link]) -> list[dict[str, Any]]:
 
 
 def torque_arm_spec(joints: int, intervals: int, integrator: str = "rk2", repeat: int = 30) -> dict[str, Any]:
-    """:func:`wbmpc.studies.race.torque_arm` for the child."""
+    """:func:`whole_race.torque_arm` for the child."""
     problem = arm(joints, intervals)
     hand, state = problem.references["end_effector"].values[0], problem.references["state"].values[0]
     return {

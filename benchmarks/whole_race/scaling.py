@@ -15,8 +15,8 @@ from wbmpc.model.tree import Frame
 from wbmpc.ocp import Constraint, residuals, sets
 from wbmpc.studies.race.multibody import Multibody
 from wbmpc.studies.race.robots import rezero_bench, swerve_bench
-from wbmpc.studies.race.torque_arm import torque_arm
 from whole_race.crocoddyl_peer import crocoddyl_figures, torque_arm_spec
+from whole_race.torque_arm import torque_arm
 
 INTERVALS = (25, 50, 100, 200, 400)
 JOINTS = (6, 12, 18)

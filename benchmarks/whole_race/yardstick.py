@@ -12,9 +12,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.libraries import library_folder
 from wbmpc.benchmark.problems import Problem
-from wbmpc.benchmark.program import Program, Samples, compiler, sampled
+from wbmpc.benchmark.program import Program, Samples, compiler, library_folder, sampled
 from wbmpc.benchmark.race import milliseconds, single_iteration
 from wbmpc.kernel import Kernel
 from wbmpc.kernel.cache import trusted_file

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -245,20 +246,18 @@ def _change(mpc: MPC, name: str, column: int, value: float) -> None:
         mpc.reference[name] = replace(reference, values=values)
 
 
-def keep_clear(
-    ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None, slack: float = CLEARANCE_SLACK
-) -> OptimalControlProblem:
+def keep_clear(ocp: OptimalControlProblem, robot: RobotModel, obstacles: Obstacles | None) -> OptimalControlProblem:
     """The problem with hard rows that keep the whole robot clear of ``obstacles`` (None: as it is) and its arm clear of itself: who
     evades folds it, faster than where there are no obstacles, and slower only where it could not brake any more (:data:`EVADING`)."""
     if obstacles is None:
         return ocp
     free = sets.NonNegative()
-    rows = Constraint("clearance", residuals.Clearance(robot), free, at="path+terminal", hard=True, slack=slack)
-    ocp.add(rows)
+    always = partial(Constraint, at="path+terminal", hard=True, slack=CLEARANCE_SLACK)
+    ocp.add(always("clearance", residuals.Clearance(robot), free))
     pairs = arm_pairs(robot) if ocp.terms.pop("self_clearance", None) is None else self_pairs(robot)
     if pairs:
         own = residuals.SelfClearance(robot, pairs, approach=EVADING * stopping_time(robot))
-        ocp.add(Constraint("self_clearance", own, free, at="path+terminal", hard=True, slack=slack))
+        ocp.add(always("self_clearance", own, free))
     return ocp
 
 

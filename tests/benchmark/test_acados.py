@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from small_problems import cartpole, double_integrator
 from wbmpc.benchmark.peers import Measure
 from wbmpc.benchmark.problems import Problem, suite_bench
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.race import ours
-from wbmpc.studies.race.small import cartpole, double_integrator
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 
 from effort import some
+from small_problems import cartpole, double_integrator
 from wbmpc.benchmark import race
 from wbmpc.benchmark.peers import peer_statistics, prepare, solve_with, within
 from wbmpc.benchmark.problems import Problem, RaceProblems, suite_bench
@@ -28,7 +29,6 @@ from wbmpc.benchmark.program import Program, compiler, run_whole
 from wbmpc.benchmark.race import ours, peak_gflops
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.studies.race.ballbot import ballbot
-from wbmpc.studies.race.small import cartpole, double_integrator
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 

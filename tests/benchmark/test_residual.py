@@ -7,11 +7,11 @@ import pytest
 import scipy.sparse as sp
 from scipy.optimize import nnls
 
+from small_problems import cartpole, double_integrator
 from wbmpc.benchmark.peers import EQUAL, Measure, least_squares, peer_statistics, prepare, solve_with, to_equal_residual
 from wbmpc.benchmark.problems import suite_bench
 from wbmpc.benchmark.program import Program
 from wbmpc.benchmark.race import ours, several_iterations
-from wbmpc.studies.race.small import cartpole, double_integrator
 
 
 def test_multipliers_of_signed_rows_are_those_of_scipy() -> None:

@@ -278,7 +278,7 @@ def test_a_grid_keeps_the_robot_from_what_is_in_it() -> None:
     [
         (lambda r: wb.residuals.Clearance(r, ["nose"]), "unknown frame with shapes 'nose'"),
         (lambda r: wb.residuals.Clearance(r, []), "at least one"),
-        (lambda r: wb.residuals.Clearance(r, slots=0), "slots must be a whole number"),
+        (lambda r: wb.residuals.Clearance(r, slots=0), "slots: a whole number from 1 on is needed"),
         (lambda r: wb.residuals.Clearance(r, margin=-0.1), "'margin' must not be negative"),
         (lambda r: wb.residuals.SelfClearance(r, [("base", "nose")]), "unknown frame with shapes 'nose'"),
         (lambda r: wb.residuals.SelfClearance(r, []), "at least one pair"),

@@ -11,15 +11,20 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "solver"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 import ipopt
+from whole_race.torque_arm import torque_arm
 
 from effort import thorough
+from small_problems import cartpole, double_integrator
 from toys import rezero_solver, robot
 from wbmpc.benchmark.problems import SampleProblem
 from wbmpc.ocp import Constraint, Reference
 from wbmpc.solver import ILQR, SLQ, SQP, Solver, Status
-from wbmpc.studies.race import MAKERS
+from wbmpc.studies.race.ballbot import ballbot
+from wbmpc.studies.race.differential import differential_manipulator
+from wbmpc.studies.race.swerve import swerve
 
 SOLVERS = {
     "sqp-merit": SQP(iterations=400),
@@ -61,13 +66,13 @@ def rezero_with_a_force() -> SampleProblem:
 
 #: Problem, and whether IPOPT needs a start near the solution (dependent rows, indefinite Hessians far from it).
 PROBLEMS = {
-    "double-integrator": (partial(MAKERS["double-integrator"], hard=True), False),
-    "cartpole": (partial(MAKERS["cartpole"], intervals=30, hard=True), False),
-    "ballbot": (partial(MAKERS["ballbot"], intervals=20, goal=(0.3, 0.15, 0.2)), False),
-    "differential-manipulator": (lambda: hardened(MAKERS["differential-manipulator"](intervals=12)), False),
-    "torque-arm": (partial(MAKERS["torque-arm"], intervals=10), False),
-    "swerve-base": (lambda: hardened(MAKERS["swerve-base"](intervals=8)), True),
-    "swerve-brakes": (lambda: hardened(MAKERS["swerve-brakes"](intervals=10)), True),
+    "double-integrator": (partial(double_integrator, hard=True), False),
+    "cartpole": (partial(cartpole, intervals=30, hard=True), False),
+    "ballbot": (partial(ballbot, intervals=20, goal=(0.3, 0.15, 0.2)), False),
+    "differential-manipulator": (lambda: hardened(differential_manipulator(intervals=12)), False),
+    "torque-arm": (partial(torque_arm, intervals=10), False),
+    "swerve-base": (lambda: hardened(swerve(arm=False, intervals=8)), True),
+    "swerve-brakes": (lambda: hardened(swerve(arm=True, brakes="events", intervals=10)), True),
     "ball-robot-force": (rezero_with_a_force, False),
 }
 

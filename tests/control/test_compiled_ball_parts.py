@@ -51,11 +51,13 @@ def test_what_the_sensors_see(backend: str) -> None:
     sensors = made(backend, BallSensors, p, draw, wheels, mount, h, 0, rng, (14, 12), (10, 9))
     matrix = lambda q: Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
     turn, push, wheel, before = np.zeros(3), np.zeros(3), np.zeros(4), None
+    q, v = np.zeros(14), np.zeros(12)
+    sensors.attach(q, v)
     for k in range(5):
-        q, v = rng.normal(size=14), rng.normal(size=12)
+        q[:], v[:] = rng.normal(size=14), rng.normal(size=12)
         q[3:7] /= np.linalg.norm(q[3:7])
         q[10:14] /= np.linalg.norm(q[10:14])
-        seen, rotation = sensors.seen(sensors.advance(q, v)), matrix(q[3:7])
+        seen, rotation = sensors.seen(sensors.measure()), matrix(q[3:7])
         velocity = v[:3] + rotation @ np.cross(v[3:6], mount)
         if before is not None:
             turn += h * v[3:6]

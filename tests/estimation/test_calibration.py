@@ -145,7 +145,7 @@ def test_calibrated_odometry_drifts_less() -> None:
         again = drawn(seed, length=40.0)
         samples = list(again)
         np.testing.assert_array_equal(again.zeros, base.zeros)
-        for name, known in (("before", WheelCalibration.exact(UNEVEN)), ("after", found)):
+        for name, known in (("before", WheelCalibration.unknown(UNEVEN, 0.0, 0.0, 0.0)), ("after", found)):
             odometry = WheelOdometry(
                 UNEVEN, again.poses[0], wheel_radius=known.wheel_radius, steer_offset=known.steer_offset
             )

@@ -112,7 +112,7 @@ def lasting_slip(geometry: ModuleGeometry, seed: int, speed: float, lasts: float
     ``speed`` [m/s], which ``lasts`` [s], two parts in space: along by the wheel, across by its steering."""
     h, n, rng = 0.01, geometry.modules, np.random.default_rng(seed)
     keep, slip = np.exp(-h / lasts), speed * rng.normal(size=(n, 2))
-    odometry = FusedOdometry(geometry, noise=calm(), calibration=WheelCalibration.exact(geometry))
+    odometry = FusedOdometry(geometry, noise=calm(), calibration=WheelCalibration.unknown(geometry, 0.0, 0.0, 0.0))
     wheel, bias, previous = np.zeros(n), 0.01 * rng.normal(), None
     for k in range(501):
         ground = slip + [0.4, 0.0]
@@ -140,7 +140,7 @@ def test_covariance_grows_with_what_the_wheels_contradict() -> None:
     growth = []
     for spin in (0.0, 0.05):
         base = Drawn(FOUR, 3, motion=lambda t: np.array([0.3, 0.0, 0.0]), length=4.0)
-        odometry = FusedOdometry(FOUR, noise=calm(), calibration=WheelCalibration.exact(FOUR))
+        odometry = FusedOdometry(FOUR, noise=calm(), calibration=WheelCalibration.unknown(FOUR, 0.0, 0.0, 0.0))
         extra = np.zeros(4)
         for t, leg, steer, wheel, gyro in base:
             extra[1] = spin / FOUR.wheel_radius * np.clip((t - 2.0) / 0.1, 0.0, 1.0)

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from toys import LinearQuadratic
-from wbmpc.benchmark.libraries import library_folder
-from wbmpc.benchmark.program import compiled_library, compiler
+from wbmpc.benchmark.program import compiled_library, compiler, library_folder
 from wbmpc.kernel import build_kernel, cache
 from wbmpc.kernel.library import Library
 from wbmpc.ocp import Transcription

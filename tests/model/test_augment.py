@@ -147,7 +147,7 @@ def test_shaped_regulator_against_scipy() -> None:
 
 
 def test_bad_filters() -> None:
-    with pytest.raises(InputError, match="pole must be positive"):
+    with pytest.raises(InputError, match="'pole' must be positive"):
         InputFilter(1.0, 0.0)
     with pytest.raises(InputError, match="did you mean 'wheel'"):
         FrequencyShaping(load_robot("rezero").dynamics(), {"wheels": InputFilter(1.0, 2.0)})

@@ -64,7 +64,7 @@ def test_iterations_of_the_first_plan_are_those_of_all_calls(monkeypatch: pytest
 
 @pytest.mark.parametrize("senseless", [0, -3, 2.5, np.nan, "many", True])
 def test_first_iterations_are_checked(senseless: Any) -> None:
-    with pytest.raises(InputError, match=r"mpc\.first_iterations: must be a whole number from 1 on, got"):
+    with pytest.raises(InputError, match=r"mpc\.first_iterations: a whole number from 1 on is needed, got"):
         make(first_iterations=senseless)
 
 

@@ -18,11 +18,11 @@ import pytest
 
 import wbmpc as wb
 from effort import some
+from small_problems import cartpole
 from toys import LinearQuadratic
 from wbmpc.errors import InputError, NotFinite, SolverBusy
 from wbmpc.solver import SLQ, SQP, Solver, Status, Trajectory
 from wbmpc.solver.guards import Exclusive, Interruptible
-from wbmpc.studies.race.small import cartpole
 
 
 def linear(seed: int = 0) -> tuple[LinearQuadratic, Solver]:
@@ -172,7 +172,7 @@ INTERRUPTED = """
 import os, random, signal, sys, threading, time
 import numpy as np
 from wbmpc.solver import SQP, Solver
-from wbmpc.studies.race.small import cartpole
+from small_problems import cartpole
 backend, what = sys.argv[1:]
 problem = cartpole(20)
 solver = Solver(problem.ocp, SQP(iterations=400, backend=backend))

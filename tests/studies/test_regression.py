@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 from pathlib import Path
@@ -9,8 +10,14 @@ from pathlib import Path
 import pytest
 
 from configured import check_taken
-from wbmpc.studies import regression
-from wbmpc.studies.regression import FAST, FULL, differences, key, main
+
+_spec = importlib.util.spec_from_file_location("regression", Path(__file__).parents[2] / "scripts" / "regression.py")
+assert _spec is not None and _spec.loader is not None
+regression = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(regression)
+FAST, FULL, differences, key, main = (
+    regression.FAST, regression.FULL, regression.differences, regression.key, regression.main,
+)  # fmt: skip
 
 RUN = {
     "exit": 0,

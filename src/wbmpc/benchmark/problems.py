@@ -50,9 +50,9 @@ class Problem:
     u0: np.ndarray
 
 
-def suite_bench(problem: SampleProblem, settings: SQP | None = None) -> Problem:
+def suite_bench(problem: SampleProblem) -> Problem:
     """A sample problem for the race; its guess is the start, held, with the guess's first input."""
-    solver = problem.solver(settings or SQP(iterations=300))
+    solver = problem.solver(SQP(iterations=300))
     return Problem(problem.name, solver, problem.x0, np.atleast_2d(problem.u)[0])
 
 

@@ -4,23 +4,45 @@ Gauss-Newton Hessian, as one small C file whose stage functions are called in lo
 
 from __future__ import annotations
 
+import atexit
 import hashlib
+import logging
 import os
 import shutil
 import signal
 import subprocess
+import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from wbmpc.benchmark.libraries import library_folder
-from wbmpc.kernel.cache import trusted_file
+from wbmpc.kernel.cache import UntrustedCache, trusted_file, trusted_folder
 from wbmpc.ocp import RelaxedBarrier, Transcription
 from wbmpc.ocp.constraint_classification import BoxRow, Kind, Row
 from wbmpc.solver import Solver
+
+_LOG = logging.getLogger("wbmpc")
+
+
+def library_folder() -> Path:
+    """The cache's folder of libraries; one of this process alone, gone at its end, where the cache is not the user's own."""
+    try:
+        return trusted_folder("peers")
+    except (OSError, UntrustedCache) as error:
+        return _own_folder(str(error))
+
+
+@cache
+def _own_folder(why: str) -> Path:
+    _LOG.warning("compiled libraries are not kept, for %s", why)
+    folder = Path(tempfile.mkdtemp(prefix="wbmpc-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
 
 COMPILER_FLAGS = ("-march=native", "-fno-math-errno", "-shared", "-fPIC")
 #: Straight-line code of more characters than this takes the compiler many minutes with -O2: it gets -O1.

@@ -37,19 +37,8 @@ class Hull(NamedTuple):
 
 @compiled
 def put_corner(
-    solids: Solids,
-    a: int,
-    b: int,
-    pa: int,
-    pb: int,
-    place: Floats,
-    axes: Floats,
-    hull: Hull,
-    i: int,
-    x: float,
-    y: float,
-    z: float,
-) -> float:
+    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, i: int, x: float, y: float, z: float,
+) -> float:  # fmt: skip
     """The farthest point of the difference of solids ``a`` and ``b``, whose centers begin at ``place[pa]`` and ``place[pb]``, along a direction
     becomes corner ``i``; how far it is along that."""
     ax, ay, az = support(solids, a, axes, 3 * pa, x, y, z)
@@ -87,19 +76,8 @@ def put_face(hull: Hull, f: int, i: int, j: int, k: int) -> None:
 
 @compiled
 def widen(
-    solids: Solids,
-    a: int,
-    b: int,
-    pa: int,
-    pb: int,
-    place: Floats,
-    axes: Floats,
-    hull: Hull,
-    i: int,
-    x: float,
-    y: float,
-    z: float,
-) -> None:
+    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, i: int, x: float, y: float, z: float,
+) -> None:  # fmt: skip
     """Corner ``i``: the one of the two farthest along a direction, and against it, that is farther from corner 0."""
     p, own = hull.corner, hull.corner_own
     level = p[X] * x + p[Y] * y + p[Z] * z

@@ -119,9 +119,7 @@ class SolidTable:
         elif touch:
             self._collider.load(others)
             for node in np.unique(k):
-                self._collider.place(
-                    np.concatenate([place[node], places[node]]), np.concatenate([axes[node], turns])
-                )  # fmt: skip
+                self._collider.place(np.concatenate([place[node], places[node]]), np.concatenate([axes[node], turns]))
                 for shape, other in zip(a[k == node].tolist(), o[k == node].tolist(), strict=True):
                     at = (int(node), int(self._frame_of[shape]), other)
                     self._deep(out, at, shape, s + other, place[node, shape] - places[node, other])

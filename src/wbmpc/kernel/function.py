@@ -23,7 +23,7 @@ call2 = PointerCall(2)
 @LIBRARY.step
 def evaluate(
     n: int, address: int, columns: int, rows: int, arguments: Floats, results: Floats, table: Integers
-) -> None:  # fmt: skip
+) -> None:
     """Results (n, rows) of ``arguments`` (n, columns) by the function at ``address``."""
     for k in range(n):
         table[0] = arguments.ctypes.data + 8 * k * columns

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from wbmpc.checks import positive
 from wbmpc.errors import InputError, unknown_name
 from wbmpc.model.layout import Layout
 from wbmpc.units import rate_unit
@@ -143,10 +144,7 @@ class InputFilter:
     gain: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("zero", "pole", "gain"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < np.inf:
-                raise InputError(f"input filter: {name} must be positive and finite, got {value}")
+        positive("input filter", **{name: value for name, value in vars(self).items() if value is not None})
 
     @property
     def high(self) -> float:

@@ -8,7 +8,7 @@ from bisect import bisect_right
 
 import numpy as np
 
-from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers
+from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers, whole_number
 from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
 from wbmpc.logs import RateLimit
@@ -60,12 +60,7 @@ class MPC(Described):
     ) -> None:  # fmt: skip
         if real_number("mpc.rate", rate) <= 0.0:
             raise InputError(f"mpc.rate: must be positive, got {rate}")
-        if (
-            isinstance(first_iterations, bool)
-            or not isinstance(first_iterations, (int, np.integer))
-            or first_iterations < 1
-        ):
-            raise InputError(f"mpc.first_iterations: must be a whole number from 1 on, got {first_iterations!r}")
+        self.first_iterations = whole_number("mpc.first_iterations", first_iterations, 1)
         settings = SQP.real_time() if solver is None else solver
         check_settings(ocp, settings)
         self.ocp, self.rate = ocp, float(rate)
@@ -83,7 +78,6 @@ class MPC(Described):
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = self.path.limits
         self.guess = guess
-        self.first_iterations = int(first_iterations)
         self._policy: Policy | None = None
         self._t: float | None = None
         self._outcome = (0, 0, 0.0)
@@ -366,10 +360,14 @@ class MPC(Described):
 
         after = self._plan_check.recovery(self._outcome[0])
         if after == RESTART:
-            restart_from(self.solver, self.path.wide(observation.x))
-            self._t = None
+            self._restart(observation)
         elif after == RESUME:
             self._resume(x, u, t)
+
+    def _restart(self, observation: Observation) -> None:
+        """The next plan starts from the observation alone."""
+        restart_from(self.solver, self.path.wide(observation.x))
+        self._t = None
 
     def _check(self, observation: Observation) -> None:
         if not abs(observation.t) <= LATEST:
@@ -385,8 +383,7 @@ class MPC(Described):
         if last is None:
             found = self.solver._certified(*self._outcome)
             if self._plan_check.broken(self._outcome[0]):
-                restart_from(self.solver, self.path.wide(observation.x))
-                self._t = None
+                self._restart(observation)
             detail = f" ({found.detail})" if found.detail else ""
             raise RunAborted(f"the first solve {found.status.value if found.detail else self.fault}{detail}")
         self._recover(observation, last.x, last.u, float(last.times[0]))

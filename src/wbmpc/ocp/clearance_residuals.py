@@ -53,8 +53,7 @@ class Clearance:
                 raise unknown_name("frame with shapes", name, geometry.frames, where="clearance, frames")
         if not frames or len(set(frames)) < len(frames):
             raise InputError(f"clearance, frames: every frame once, and at least one, got {list(frames)}")
-        if isinstance(self.slots, bool) or not isinstance(self.slots, (int, np.integer)) or self.slots < 1:
-            raise InputError(f"clearance: slots must be a whole number from 1 on, got {self.slots!r}")
+        checks.whole_number("clearance: slots", self.slots, 1)
         margin = self.robot.description.collision.margin if self.margin is None else self.margin
         checks.not_negative("clearance", margin=margin)
         object.__setattr__(self, "frames", frames)

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import casadi as ca
 
+from wbmpc.checks import positive
 from wbmpc.errors import InputError
 
 
@@ -83,10 +84,7 @@ class RelaxedBarrier:
     delta: float = 1e-3
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.mu < math.inf and 0.0 < self.delta < math.inf):
-            raise InputError(
-                f"RelaxedBarrier: mu and delta must be positive and finite, got {self.mu} and {self.delta}"
-            )
+        positive("RelaxedBarrier", mu=self.mu, delta=self.delta)
 
     def value(self, h: ca.SX) -> ca.SX:
         """The cost of each row."""
@@ -115,5 +113,4 @@ class AugmentedLagrangian:
     rho: float = 1e3
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.rho < math.inf:
-            raise InputError(f"AugmentedLagrangian: rho must be positive and finite, got {self.rho}")
+        positive("AugmentedLagrangian", rho=self.rho)

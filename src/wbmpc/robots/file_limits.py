@@ -217,7 +217,7 @@ class _Walk:
 
     def __init__(
         self, path: Path, done: dict[Path, _Count], above: tuple[Path, ...], folders: set[Path], named: list[_Named]
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._path, self._done, self._above = path, done, (*above, path.resolve())
         self._folders, self._named = folders, named
         self._main = above[0].parent if above else path.parent

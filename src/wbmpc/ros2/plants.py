@@ -15,7 +15,6 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.convert import check_numbers, seconds, upright
 from wbmpc.ros2.settings import drive_groups, joint_groups
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.types import SimulatedRobot, Truth
 
 #: Of the position loop of a simulated joint_trajectory_controller [1/s]; a speed below the other one [rad/s] is rest for it.
@@ -156,6 +155,6 @@ def _rows(what: str, values: list[Any], joints: int) -> Array:
     return check_numbers(np.array([np.asarray(row, float) for row in values]), f"trajectory, {what}")
 
 
-def plant_of(robot: RobotModel, perturbation: Perturbation | None, seed: int) -> RosPlant:
+def plant_of(robot: RobotModel, seed: int) -> RosPlant:
     """The simulated robot; raises :class:`InputError` where its base type has none for ROS 2."""
-    return cast(RosPlant, base_type(robot.description.base.type).ros_plant(robot, perturbation, seed))
+    return cast(RosPlant, base_type(robot.description.base.type).ros_plant(robot, None, seed))

@@ -31,7 +31,7 @@ from wbmpc.ros2.joints import (
     Standstill,
     check_turn,
     read_imu,
-)  # fmt: skip
+)
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.ros2.sources import OneSource, Source
 from wbmpc.ros2.trajectory_client import senders

@@ -28,7 +28,6 @@ from wbmpc.ros2.plants import plant_of
 from wbmpc.ros2.settings import RosSettings, joint_groups
 from wbmpc.ros2.trajectory_client import places_of
 from wbmpc.settings import CONTROL_RATE
-from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.scene import SceneReader
 
 _LOG = logging.getLogger("wbmpc")
@@ -49,7 +48,7 @@ TRUTH_ODOM, TRUTH_END_EFFECTOR, CONTACT = "/ground_truth/odom", "/ground_truth/e
 
 
 class SimNode:
-    """A plant on a bus, at ``rate`` [Hz], in lockstep at most at that of the controller: who ticks more rarely answers not every state.
+    """A plant on a bus, at the default rate of controllers, in lockstep at most at that of its own: who ticks more rarely answers not every state.
 
     In lockstep (as the settings say), after the first commands, a period is simulated only when all commands to its beginning
     have come (``patience`` [s] of the wall: as long as they are waited for), so that nothing depends on the machine's speed; else
@@ -59,14 +58,13 @@ class SimNode:
     """
 
     def __init__(
-        self, node: Node, robot: RobotModel, settings: RosSettings, seed: int = 0,
-        perturbation: Perturbation | None = None, *, rate: float = CONTROL_RATE, factor: float = 1.0,
-    ) -> None:  # fmt: skip
+        self, node: Node, robot: RobotModel, settings: RosSettings, seed: int = 0, *, factor: float = 1.0
+    ) -> None:
         self.node, self.robot, self.settings = node, robot, settings
         self._limit = RateLimit()
-        self.side = plant_of(robot, perturbation, seed)
+        self.side = plant_of(robot, seed)
         self.plant = self.side.plant
-        period = max(1.0 / rate, 1.0 / settings.rates.control if settings.lockstep else 0.0)
+        period = max(1.0 / CONTROL_RATE, 1.0 / settings.rates.control if settings.lockstep else 0.0)
         self.steps = max(math.ceil(period / self.plant.timestep - 1e-6), 1)
         self.period = self.steps * self.plant.timestep
         self.lockstep, self.factor, self.behind, self.ticks = settings.lockstep, factor, 0, 0

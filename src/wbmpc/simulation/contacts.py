@@ -63,7 +63,7 @@ NARROW = 0.001
 
 def enable(
     spec: mujoco.MjSpec, home: Mapping[str, float], source: object, ignore: Iterable[tuple[str, str]] = ()
-) -> None:  # fmt: skip
+) -> None:
     """Make the shapes of the robot's file collide, in place; ``home`` [rad or m] by joint, ``source``: the file, for errors; ``ignore``:
     pairs of bodies that may overlap, each with all that is fixed to it.
 

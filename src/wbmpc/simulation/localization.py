@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wbmpc.errors import InputError
+from wbmpc.checks import not_negative, positive
 from wbmpc.types import GlobalPose
 
 
@@ -19,11 +19,8 @@ class Localization:
     def __init__(
         self, rate: float = 10.0, age: float = 0.050, position: float = 0.005, yaw: float = 0.002, seed: int = 0
     ) -> None:
-        if not (rate > 0.0 and age >= 0.0 and position >= 0.0 and yaw >= 0.0):
-            raise InputError(
-                "localization: the rate must be positive, age and standard deviations must not be negative; got "
-                f"{rate} Hz, {age} s, {position} m, {yaw} rad"
-            )
+        positive("localization", rate=rate)
+        not_negative("localization", age=age, position=position, yaw=yaw)
         self.period, self.age = 1.0 / rate, age
         self._std, self._noise = np.array([position, position, yaw]), np.random.default_rng([seed, 1])
         self._due = 0.0

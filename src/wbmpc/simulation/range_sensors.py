@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.errors import InputError
+from wbmpc.checks import not_negative, positive
 
 
 def lidar_rays(channels: int, columns: int, low: float, high: float) -> Array:
@@ -55,10 +55,8 @@ class RangeSensor:
         self, name: str, rays: Array, body: str, position: Array, *, rate: float, age: float, reach: float, noise: float,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        if not (rate > 0.0 and age >= 0.0 and reach > 0.0 and noise >= 0.0):
-            raise InputError(
-                f"sensor '{name}': rate and reach must be positive, age and noise not negative; got {rate} Hz, {reach} m, {age} s, {noise} m"
-            )
+        positive(f"sensor '{name}'", rate=rate, reach=reach)
+        not_negative(f"sensor '{name}'", age=age, noise=noise)
         self.name, self.body, self._rays, self._position = (
             name, body, np.asarray(rays, float), np.asarray(position, float),
         )  # fmt: skip

@@ -1,9 +1,12 @@
-"""What a solution is worth: the largest violation of every constraint by name, and why a failed solve failed."""
+"""What a solution is worth: the largest violation of every constraint by name, and why a failed solve failed.
+
+``ws``: the memory of a solve. That of the interpreted twin has fewer fields: who needs others asks for them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,6 +15,7 @@ import numpy as np
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
 from wbmpc.ocp.constraint_classification import Kind, row_names
 from wbmpc.solver.memory_layout import StateField
+from wbmpc.solver.workspace import Workspace
 
 #: What messages call the model.
 DYNAMICS = "the dynamics"
@@ -92,7 +96,7 @@ class Checks:
             self._keep(found, term, table, n, rows)
         return found
 
-    def slope(self, term: Constraint, where: Violation, ws: Any) -> float:
+    def slope(self, term: Constraint, where: Violation, ws: Workspace) -> float:
         """Length of the gradient of a violated row: how fast it changes with the variables."""
         problem = self.problem
         if where.row not in self._gradients:
@@ -115,22 +119,22 @@ class Checks:
             found[term.name] = worst
 
 
-def not_finite_trial(problem: Transcription, ws: Any) -> str:
+def not_finite_trial(problem: Transcription, ws: Workspace) -> str:
     """As ``not_finite``, of the last trial point of the line search; empty for the interpreted twin."""
     return not_finite(problem, trial(ws)) if hasattr(ws, "x_trial") else ""
 
 
-def trial(ws: Any) -> SimpleNamespace:
+def trial(ws: Workspace) -> Workspace:
     """The last trial point of the line search in place of the iterate."""
-    return SimpleNamespace(x=ws.x_trial, u=ws.u_trial, p=ws.p, w=ws.w, grid=ws.grid, table=ws.table)
+    return replace(ws, x=ws.x_trial, u=ws.u_trial)
 
 
-def after_full_step(problem: Transcription, ws: Any) -> SimpleNamespace:
+def after_full_step(problem: Transcription, ws: Workspace) -> Workspace:
     """Where the last direction leads."""
-    return SimpleNamespace(x=ws.x + ws.dx[:, : problem.nx], u=ws.u + ws.du, p=ws.p, w=ws.w)
+    return replace(ws, x=ws.x + ws.dx[:, : problem.nx], u=ws.u + ws.du)
 
 
-def not_finite(problem: Transcription, ws: Any) -> str:
+def not_finite(problem: Transcription, ws: Workspace) -> str:
     """Which state, input, term or derivative is not finite, and at which node; empty if none is found."""
     found = _first_bad_number(problem, ws)
     if found:
@@ -143,7 +147,7 @@ def not_finite(problem: Transcription, ws: Any) -> str:
     return _bad_jump(problem, ws)
 
 
-def largest_term(problem: Transcription, ws: Any) -> str:
+def largest_term(problem: Transcription, ws: Workspace) -> str:
     """The term of the largest absolute value (costs weighted, without the interval's length), with its node."""
     worst, found = 0.0, ""
     for name, function in _pieces(problem).items():
@@ -156,12 +160,12 @@ def largest_term(problem: Transcription, ws: Any) -> str:
     return found
 
 
-def largest_variable(problem: Transcription, ws: Any) -> str:
+def largest_variable(problem: Transcription, ws: Workspace) -> str:
     """The largest state or input of the iterate, with its node."""
     return _largest(problem, ws.x, ws.u, "= {:.3g}")
 
 
-def largest_step(problem: Transcription, ws: Any) -> str:
+def largest_step(problem: Transcription, ws: Workspace) -> str:
     """The state or input that the last step was to change most, with its node; empty for the interpreted twin."""
     if not hasattr(ws, "dx") or not np.isfinite(ws.dx).all():
         return ""
@@ -179,7 +183,7 @@ def largest_of_rows(problem: Transcription, values: np.ndarray) -> tuple[float, 
     return max(found, default=(0.0, ""))
 
 
-def unsettled(problem: Transcription, ws: Any) -> str:
+def unsettled(problem: Transcription, ws: Workspace) -> str:
     """The slack of a hard limit that differs most from the limit's value, and by how much slacks cut the last step; empty for none."""
     if not hasattr(ws, "rows_t"):
         return ""
@@ -189,7 +193,7 @@ def unsettled(problem: Transcription, ws: Any) -> str:
     return f"the slack of {where} is off by {off:.3g} of its range, and slacks cut steps to {cut:.2g}" if off else ""
 
 
-def beyond_rounding(problem: Transcription, ws: Any) -> str:
+def beyond_rounding(problem: Transcription, ws: Workspace) -> str:
     """What to say where no shift of the Hessian makes a subproblem convex."""
     size, where = largest_of_rows(problem, np.abs(ws.rows_l)) if hasattr(ws, "rows_l") else (0.0, "")
     most = f": the largest multiplier, of {where}, is {size:.2g}" if where else ""
@@ -206,7 +210,7 @@ def _largest(problem: Transcription, x: np.ndarray, u: np.ndarray, form: str) ->
     return max(found)[1]
 
 
-def largest_gap(problem: Transcription, ws: Any, x0: np.ndarray) -> tuple[float, str]:
+def largest_gap(problem: Transcription, ws: Workspace, x0: np.ndarray) -> tuple[float, str]:
     """By how much the start, or an interval a state of the next node, is missed at most; and a message with state and node."""
     names = problem.ocp.dynamics.state.names
     first = int(np.argmax(np.abs(x0 - ws.x[0])))
@@ -221,12 +225,12 @@ def largest_gap(problem: Transcription, ws: Any, x0: np.ndarray) -> tuple[float,
     return largest, f"gaps of the dynamics, largest: '{names[i]}' by {largest:.3g} at node {k + 1}"
 
 
-def _end(problem: Transcription, ws: Any, k: int) -> np.ndarray:
+def _end(problem: Transcription, ws: Workspace, k: int) -> np.ndarray:
     """The state at the end of interval k: one Runge-Kutta step, and the jump where an event is."""
     return step_ends(problem, ws, ws.x[k : k + 1], ws.u[k : k + 1], k)[0]
 
 
-def step_ends(problem: Transcription, ws: Any, x: np.ndarray, u: np.ndarray, first: int = 0) -> np.ndarray:
+def step_ends(problem: Transcription, ws: Workspace, x: np.ndarray, u: np.ndarray, first: int = 0) -> np.ndarray:
     """As many states (n, nx) and inputs (n, nu) from node ``first`` on, an interval later: (n, nx)."""
     n, f = len(u), problem.values["dynamics"]
     p, w = ws.p[first : first + n + 1, : problem.node.size].T, np.tile(ws.w[: problem.constant.size, None], (1, n))
@@ -244,19 +248,19 @@ def step_ends(problem: Transcription, ws: Any, x: np.ndarray, u: np.ndarray, fir
     return end.T  # type: ignore[no-any-return]
 
 
-def _events(problem: Transcription, ws: Any) -> np.ndarray:
+def _events(problem: Transcription, ws: Workspace) -> np.ndarray:
     """For every interval, whether the state jumps at its end: the last entries of the solver's table."""
     n = len(ws.u)
-    return ws.table[-n:] if problem.jumps else np.zeros(n)  # type: ignore[no-any-return]
+    return ws.table[-n:] if problem.jumps else np.zeros(n)
 
 
-def _bad_jump(problem: Transcription, ws: Any) -> str:
+def _bad_jump(problem: Transcription, ws: Workspace) -> str:
     """The first jump whose result is not finite, with the node after it; empty if there is none."""
     bad = [k + 1 for k in np.flatnonzero(_events(problem, ws)) if not np.isfinite(_end(problem, ws, int(k))).all()]
     return f"the jump at node {bad[0]}" if bad else ""
 
 
-def unstable_interval(problem: Transcription, ws: Any) -> str:
+def unstable_interval(problem: Transcription, ws: Workspace) -> str:
     """Where the grid is too coarse for the dynamics: a motion that decays and that the integrator lets grow; a message.
 
     Looked for at five nodes.
@@ -279,7 +283,7 @@ def unstable_interval(problem: Transcription, ws: Any) -> str:
     return ""
 
 
-def _state_jacobian(problem: Transcription, ws: Any, k: int) -> np.ndarray:
+def _state_jacobian(problem: Transcription, ws: Workspace, k: int) -> np.ndarray:
     """∂f/∂x at node k by differences: a warm start has no derivatives as functions."""
     x, u, p, w = _arguments(problem, ws, k)
     step = 1e-6 * (1.0 + np.abs(x))
@@ -296,7 +300,7 @@ def unweighted_inputs(problem: Transcription) -> list[str]:
     return [n for n, yes in zip(problem.ocp.dynamics.input.names, seen, strict=True) if not yes]
 
 
-def _first_bad_number(problem: Transcription, ws: Any) -> str:
+def _first_bad_number(problem: Transcription, ws: Workspace) -> str:
     """The first state or input along the horizon that is not finite: what is behind it follows from it."""
     bad = []
     names = (("state", problem.ocp.dynamics.state.names, ws.x), ("input", problem.ocp.dynamics.input.names, ws.u))
@@ -311,13 +315,13 @@ def _first_bad_number(problem: Transcription, ws: Any) -> str:
     return f"{name} at node {k} {origin}"
 
 
-def _nodes(name: str, ws: Any) -> range:
+def _nodes(name: str, ws: Workspace) -> range:
     """Where a piece counts."""
     n = len(ws.u)
     return range(n, n + 1) if name.startswith("terminal") else range(n)
 
 
-def _arguments(problem: Transcription, ws: Any, k: int) -> list[np.ndarray]:
+def _arguments(problem: Transcription, ws: Workspace, k: int) -> list[np.ndarray]:
     """(x, u, p, w) of node k; there is no input at the end."""
     u = ws.u[k] if k < len(ws.u) else np.zeros(problem.nu)
     return [ws.x[k], u, ws.p[k, : problem.node.size], ws.w[: problem.constant.size]]

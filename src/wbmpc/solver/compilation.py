@@ -10,17 +10,6 @@ compiled = LIBRARY.compiled
 call2, call3, call4, call5, call6, call7 = (PointerCall(n) for n in (2, 3, 4, 5, 6, 7))
 
 __all__ = [
-    "LANES",
-    "LIBRARY",
-    "Floats",
-    "Integers",
-    "Mask",
-    "Vector",
-    "call2",
-    "call3",
-    "call4",
-    "call5",
-    "call6",
-    "call7",
+    "LANES", "LIBRARY", "Floats", "Integers", "Mask", "Vector", "call2", "call3", "call4", "call5", "call6", "call7",
     "compiled",
-]
+]  # fmt: skip

@@ -100,9 +100,7 @@ def law(plan: Plan, t: float, x: Floats, u: Floats) -> bool:
 
 
 @compiled
-def arrange(
-    lower: Floats, upper: Floats, matrix: Floats, offset: Floats, r: int, nu: int, limits: Floats
-) -> None:  # fmt: skip
+def arrange(lower: Floats, upper: Floats, matrix: Floats, offset: Floats, r: int, nu: int, limits: Floats) -> None:
     """``limits`` of its parts. NumPy would let the interpreter go for the last two, and a tick makes limits of every new policy."""
     at, coupled, single = 2 * nu, 2 * nu + r * nu + r, 2 * nu + 2 * r * nu + r
     for i in range(nu):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -10,7 +11,22 @@ import numpy as np
 from wbmpc.ocp import Transcription
 from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
 from wbmpc.solver.settings import Effort
-from wbmpc.solver.trajectory import Trajectory
+
+
+@dataclass
+class Trajectory:
+    """``start`` [s]: time of the first node; ``grid`` (N + 1,) [s]: from there on; ``x`` (N + 1, nx); ``u`` (N, nu), held over each
+    interval."""
+
+    start: float
+    grid: np.ndarray
+    x: np.ndarray
+    u: np.ndarray
+
+    @property
+    def times(self) -> np.ndarray:
+        """Of the nodes, (N + 1,) [s]."""
+        return self.start + self.grid
 
 
 def _read_only(part: np.ndarray) -> np.ndarray:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.kernel.step import Memory, bind
 from wbmpc.solver.receding import simulate
 from wbmpc.solver.simulation_arguments import SIMULATED
-
-Array = NDArray[np.float64]
 
 
 class Simulation:

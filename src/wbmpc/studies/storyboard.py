@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.model.wheels import ModuleGeometry
 
-Array = NDArray[np.float64]
 #: Pixels per meter; half the height of a strip and its border [m]; colors.
 _SCALE, _HALF, _BORDER = 110.0, 1.25, 1.1
 _INK, _SOFT, _BODY, _WAY, _BUMP = "#1d2733", "#5c6b7a", "#46535f", "#c8102e", "#e6d3a8"

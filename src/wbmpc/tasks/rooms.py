@@ -117,7 +117,7 @@ def _wall(name: str, a: Array, b: Array, ground: float) -> SceneObstacle:
 
 def _thing(
     rng: np.random.Generator, k: int, low: Array, high: Array, start: Array, goal: Array, ground: float
-) -> list[SceneObstacle]:  # fmt: skip
+) -> list[SceneObstacle]:
     """One thing somewhere, as far from start and goal as nothing is nearer."""
     kind = KINDS[int(rng.choice(len(KINDS), p=[0.4, 0.3, 0.2, 0.1]))]
     size, tall, turned = rng.uniform(0.1, 0.25, 2), rng.uniform(0.5, HIGH), rng.random() < 0.5

@@ -82,7 +82,7 @@ def farthest(robot: RobotModel, x: Array, along: Array) -> Array:
 
 
 class LoadWatch:
-    """What wheels carry, at every controller period from ``since`` [s] on."""
+    """Loads (n) [N] of the wheels and tilt [rad] of the base, at every controller period from ``since`` [s] on."""
 
     def __init__(self, since: float) -> None:
         self._since, self._last = since, 0.0

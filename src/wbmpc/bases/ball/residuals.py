@@ -10,8 +10,7 @@ import numpy as np
 
 from wbmpc.bases.ball.balance import load_offset
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.checks import finite
-from wbmpc.errors import InputError
+from wbmpc.checks import finite, positive, whole_number
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp.symbols import Symbols
 
@@ -52,11 +51,9 @@ class CapturePoint:
     pushed: bool = False
 
     def __post_init__(self) -> None:
-        finite("capture point", pole=self.pole, answer=self.answer)
-        if self.pole <= 0.0:
-            raise InputError(f"capture point: pole must be positive, got {self.pole}")
-        if not isinstance(self.directions, int | np.integer) or self.directions < 1:
-            raise InputError(f"capture point: directions must be a whole number, at least 1, got {self.directions}")
+        positive("capture point", pole=self.pole)
+        finite("capture point", answer=self.answer)
+        whole_number("capture point: directions", self.directions, 1)
 
     @property
     def reference(self) -> int:

@@ -358,7 +358,7 @@ class BallRosAdapter(BaseAdapter):
             "end_effector": Reference.poses(end_effector.times, end_effector.positions, end_effector.orientations),
             "body": bodies(task, self.robot, x),
             "twist": Reference.constant(np.zeros(6)),
-        }  # fmt: skip
+        }
 
     def follow(self, references: dict[str, Reference]) -> None:
         """Start a task."""

@@ -104,13 +104,8 @@ class BallSensors:
         self._held: dict[tuple[str, int], float] = {}
 
     # ------------------------------------------------------------------ physics
-    def advance(self, q: Array, v: Array) -> Array:
-        """What there is to be seen (see :meth:`seen`) after a physics step, the first time at the start."""
-        self._arrays["q"][:], self._arrays["v"][:] = q, v
-        return self.measure()
-
     def measure(self) -> Array:
-        """As :meth:`advance`, of the arrays that were given to :meth:`attach`."""
+        """What there is to be seen (see :meth:`seen`) after a physics step, the first time at the start."""
         self._measure(self._first)
         if self._first:
             self._rest, self._first = GRAVITY * self._arrays["rotation"][6:9], False

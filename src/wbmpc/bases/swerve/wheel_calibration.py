@@ -77,11 +77,6 @@ class WheelCalibration:
         covariance[n:, n:] += common_radius**2
         return cls(np.zeros(n), np.zeros(n), np.full(n, geometry.wheel_radius), covariance)
 
-    @classmethod
-    def exact(cls, geometry: ModuleGeometry) -> WheelCalibration:
-        """The description's numbers, without any doubt."""
-        return cls.unknown(geometry, 0.0, 0.0, 0.0)
-
     @property
     def modules(self) -> int:
         """Number of modules n."""

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.studies.minniti2019.door_tracker import RELAX, DoorTracker
 from wbmpc.types import Observation
 
-Array = np.ndarray
 #: While it has not touched, the end effector is planned to touch no earlier than this [s].
 SOON = 0.05
 #: Before it has touched, the plan leans for no more than the first of these [N]. To lean forward the ball first rolls back, and a

@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.checks import finite, not_negative, positive, positive_time
 from wbmpc.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

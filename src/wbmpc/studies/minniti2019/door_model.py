@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.layout import Layout
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: Dry friction and closer act fully above this rate [rad/s]; below, they fade, so that a door at rest stays there. Light doors
 #: fade over a wider range: no faster than with :data:`FADE_TIME` [s], which the plan's time steps can follow.
 SMOOTH_RATE, FADE_TIME = 0.05, 0.03

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.plant import BallPlant
+from wbmpc.checks import not_negative, positive
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
@@ -61,12 +62,9 @@ class Door:
     def __post_init__(self) -> None:
         if self.opening not in (1.0, -1.0):
             raise InputError(f"door: opening must be 1 (counter-clockwise) or -1, got {self.opening}")
-        for name in ("width", "mass"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"door: {name} must be positive, got {getattr(self, name)}")
-        for name in ("friction", "closer", "damping", "grip", "breakaway"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(f"door: {name} must not be negative, got {getattr(self, name)}")
+        positive("door", width=self.width, mass=self.mass)
+        names = ("friction", "closer", "damping", "grip", "breakaway")
+        not_negative("door", **{name: getattr(self, name) for name in names})
 
     @property
     def inertia(self) -> float:

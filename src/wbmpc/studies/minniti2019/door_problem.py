@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.defaults import TaskCost, limit_arm, limit_torques
 from wbmpc.bases.ball.residuals import JointEffort
 from wbmpc.configuration import OneOf
@@ -16,7 +17,6 @@ from wbmpc.studies.minniti2019.door_model import WithDoor
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.door_residuals import ApproachSpeed, BodyClearance, PanelContact
 
-Array = np.ndarray
 PUSHING = ("held", "moving")
 #: What base and elbow keep away from a panel [m], whose angle is known to 0.05 rad.
 KEPT = 0.06

@@ -8,7 +8,6 @@ from typing import Any
 import casadi as ca
 
 from wbmpc.checks import finite, not_negative, positive
-from wbmpc.errors import InputError
 from wbmpc.ocp.symbols import Symbols
 
 #: Spheres around the robot's parts that come near a door: frame, height in it [m], radius [m].
@@ -33,8 +32,7 @@ class PanelContact:
 
     def __post_init__(self) -> None:
         finite("panel contact", rate=self.rate)
-        if self.rate < 0.0:
-            raise InputError(f"panel contact: rate must not be negative, got {self.rate}")
+        not_negative("panel contact", rate=self.rate)
 
     def __call__(self, s: Symbols) -> ca.SX:
         place, speed, acceleration = self.dynamics.contact_motion(s.all_x, s.all_u, s.parameters, s.mode)

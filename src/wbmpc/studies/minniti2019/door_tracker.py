@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.control.monitor import SimpleFault
@@ -32,7 +33,6 @@ from wbmpc.studies.minniti2019.force import ForceMonitor, ForceReadings
 from wbmpc.studies.minniti2019.grip import SPEED_TIME, GripEstimator
 from wbmpc.studies.minniti2019.momentum import SensorlessForce
 
-Array = np.ndarray
 _LOG = logging.getLogger("wbmpc")
 #: Least and largest impedance that the optimizer is reported (inertia, damping, resistance).
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])

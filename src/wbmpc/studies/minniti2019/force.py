@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.inertial_gate_step import REPEATS, STANDS
 from wbmpc.checks import finite, numbers, positive_time
 from wbmpc.control.monitor import SimpleFault
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: Sensor and motion contradict each other by more than this [N], for so long [s], and the sensor is wrong. (What the motion says
 #: of a free end effector on its way is 1.3 N at most; the end effector's pull at its place beyond a panel, where no force is planned, is 5 N.)
 MAX_MISMATCH, MISMATCH_TIME = 3.0, 0.3

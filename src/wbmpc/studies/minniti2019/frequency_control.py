@@ -49,9 +49,9 @@ class FrequencyAwareController(BallController):
         if self.fall_predictor is not None:
             stop_for(self.fall_predictor.update_plan(plans.current))
         x = self.state()
-        self.feedforward = self.memory.dynamics.acting(
-            plans.current.state(t)[x.size :], plans.current.feedforward(t)
-        )[: self.limit.size]  # fmt: skip
+        self.feedforward = self.memory.dynamics.acting(plans.current.state(t)[x.size :], plans.current.feedforward(t))[
+            : self.limit.size
+        ]
         self.target = self._torques_of(plans.current, self.memory, t, x)
         torque = self.limits.limited(self.target, x)
         self.memory.advance(torque, self.period)

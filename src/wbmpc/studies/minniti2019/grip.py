@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wbmpc.checks import finite, numbers, positive_time
-from wbmpc.errors import InputError
+from wbmpc.checks import finite, numbers, positive, positive_time
 
 #: Below this push [N] a ratio of forces says nothing; forces and speeds are averaged over these times [s]: what encoders and gyroscopes say
 #: of the speed of a tip that stands has a deviation of 0.04 m/s, and is 0.02 m/s at most after that.
@@ -23,8 +22,7 @@ class GripEstimator:
     where it slides, whose ratio is the coefficient. ``slips``: how often it has slid."""
 
     def __init__(self, least: float) -> None:
-        if not least > 0.0:
-            raise InputError(f"grip: least must be positive, got {least}")
+        positive("grip", least=least)
         self.least, self.bound, self.slips, self.sliding = least, least, 0, False
         self._forces = np.zeros(2)  # push and force across it [N]
         self._velocity = np.zeros(2)  # along the surface [m/s]

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import not_negative, numbers, positive
@@ -25,8 +25,6 @@ from wbmpc.mpc.policy import Policy
 
 if TYPE_CHECKING:
     from scipy.interpolate import RegularGridInterpolator
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

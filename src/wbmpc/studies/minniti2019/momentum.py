@@ -11,15 +11,15 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.model import ball_base
-from wbmpc.checks import numbers, positive_time
+from wbmpc.checks import numbers, positive, positive_time
 from wbmpc.errors import InputError
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 
-Array = NDArray[np.float64]
 #: How well the generalized forces of ball (x, y), base (yaw, pitch, roll) and arm joints are known [N, N m].
 SPREAD = (2.0, 2.0, 1.0, 1.5, 1.5, 0.1)
 
@@ -31,8 +31,7 @@ class MomentumObserver:
     def __init__(
         self, mass: Callable[[Array], Array], bias: Callable[[Array, Array], Array], bandwidth: float = 30.0
     ) -> None:
-        if not 0.0 < bandwidth < np.inf:
-            raise InputError(f"momentum observer: bandwidth must be positive, got {bandwidth}")
+        positive("momentum observer", bandwidth=bandwidth)
         self.mass, self.bias, self.bandwidth = mass, bias, bandwidth
         self.residual = np.zeros(0)
         self._previous: tuple[Array, Array] | None = None

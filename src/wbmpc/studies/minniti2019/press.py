@@ -7,9 +7,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, TypeVar
 
-import numpy as np
 from pydantic import Field
 
+from wbmpc.arrays import Array
 from wbmpc.experiment import Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
@@ -25,7 +25,6 @@ from wbmpc.studies.minniti2019.door_trial import believed, drawn_door, push_door
 from wbmpc.studies.minniti2019.task import IDEALIZATIONS
 from wbmpc.studies.minniti2019.touch_plant import STEP_NAMES, STEP_UNITS, TouchPlant
 
-Array = np.ndarray
 T = TypeVar("T")
 #: Time constant [s] and damping ratio of the tips' contact.
 TIPS = {"soft": SOFT, "hard": (0.004, 0.3)}

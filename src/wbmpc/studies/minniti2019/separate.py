@@ -13,8 +13,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.controller import GATE, BallController
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.messages import BallMeasurement
@@ -28,9 +28,6 @@ from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import residuals
 from wbmpc.types import Observation
-
-Array = NDArray[np.float64]
-
 
 #: Errors of the end effector beyond these [m, rad] pull no harder; Levenberg's damping [1/rad²]: an arm that is stretched out towards a
 #: goal beyond its reach stays so.

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.minniti2019.door_figures import TOUCH
 
-Array = np.ndarray
 #: Goals: how far a tip may slide [m]; the force's error over the force.
 SLIDE_GOAL, FORCE_GOAL = 0.001, 0.06
 

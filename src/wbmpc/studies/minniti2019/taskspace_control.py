@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.checks import positive
@@ -23,7 +24,6 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 
-Array = np.ndarray
 #: t [s] -> the end effector's position (3) [m] and quaternion (4) that are wanted.
 Goal = Callable[[float], tuple[Array, Array]]
 

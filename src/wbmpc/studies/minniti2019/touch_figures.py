@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 
-Array = np.ndarray
 #: A push may pass the wanted force by this share; a loss of contact may be so long [s]; what the limit of the speed may cost [s].
 OVER, LOST, EXTRA = 0.2, 0.020, 1.0
 #: The speed of a touch is the mean over this time [s] before it; drawn are so many seconds about it.
@@ -68,7 +68,7 @@ class Touch:
         return longest(rows[:, 0], rows[:, 1] > 0.0) if rows.size and not self.ending.reason else np.inf
 
 
-def longest(t: Array, on: Array) -> float:
+def longest(t: Array, on: np.ndarray) -> float:
     """The longest time [s] in which ``on`` (n) is false, of samples at equal intervals."""
     if t.size < 2:
         return 0.0

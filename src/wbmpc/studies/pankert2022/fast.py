@@ -23,10 +23,9 @@ from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.fast_courses import SCurve, Sideways, Slalom
 from wbmpc.tasks.loop import closed_loop
 from wbmpc.tasks.settings import MujocoPlant, TaskMpcSettings, TaskSettings
-from wbmpc.tasks.tip_over import LIFTED, reaching
+from wbmpc.tasks.tip_over import LIFTED, LoadWatch, reaching
 from wbmpc.types import Truth
 
-Array = np.ndarray
 NAME = "swerve-fast"
 
 
@@ -53,23 +52,18 @@ class SwerveFastSettings(TaskSettings):
         return self.model_copy(update={"weights": {**own, **{k: own.get(k, 1.0) * v for k, v in self.weights.items()}}})
 
 
-class WheelWatch:
-    """Loads (n) [N] and slip (n) [m/s] of the wheels and tilt [rad] of the base, at every controller period from ``since`` [s] on."""
+class WheelWatch(LoadWatch):
+    """Beside what wheels carry: their slip (n) [m/s]."""
 
     def __init__(self, since: float) -> None:
-        self._since = since
-        self.times: list[float] = []
-        self.loads: list[Array] = []
+        super().__init__(since)
         self.slip: list[float] = []
-        self.tilt: list[float] = []
 
     def see(self, t: float, truth: Truth) -> None:
         """At a controller period."""
+        super().see(t, truth)
         if t >= self._since:
-            self.times.append(t)
-            self.loads.append(truth.wheel_force)
             self.slip.append(float(truth.slip.max()))
-            self.tilt.append(truth.tilt)
 
     def metrics(self) -> dict[str, Metric]:
         """What the wheels did."""
@@ -82,11 +76,8 @@ class WheelWatch:
 
     def plots(self, names: list[str]) -> list[Plot]:
         """Loads and tilt over time."""
-        t, loads = np.array(self.times), np.array(self.loads)
-        return [
-            Plot("Wheel loads", "time [s]", "force [N]", [Series(n, t, loads[:, i]) for i, n in enumerate(names)]),
-            Plot("Tilt of the base", "time [s]", "angle [°]", [Series("tilt", t, np.degrees(self.tilt))]),
-        ]
+        tilt = Series("tilt", np.array(self.times), np.degrees(self.tilt))
+        return [*super().plots(names), Plot("Tilt of the base", "time [s]", "angle [°]", [tilt])]
 
 
 def build(settings: SwerveFastSettings, seed: int) -> Scenario:

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
@@ -21,7 +22,6 @@ from wbmpc.tasks.obstacles import Extent
 from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.paths import nearest_distance
 
-Array = np.ndarray
 #: What moves is at its goal [m]: an end effector that is sent to a point, a base at the end of a path, which its odometry measures.
 AT_GOAL, AT_END = 0.010, 0.030
 #: Points of a curve.

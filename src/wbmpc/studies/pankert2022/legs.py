@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 from pydantic import Field
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import reject_two_wheels
@@ -32,7 +33,6 @@ from wbmpc.studies.pankert2022.mission_run import MissionRun
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
 from wbmpc.units import by_unit, scale, with_unit
 
-Array = np.ndarray
 NAME = "legs"
 #: When [s] the brakes open for another stance, and whether that is the wide one.
 CHANGES = ((15.0, True), (32.0, False), (40.0, True), (54.0, False))

@@ -20,11 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
+from wbmpc.checks import positive
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: Standard deviations [m] of c and b beforehand, of each axis: about those of the 100 kg robot with
 #: masses ±5 % and centers of mass ±10 mm (3.3 and 2.6 mm, 2.2 and 1.2 mm rms over twenty draws).
 BASE, ARM = 0.004, 0.002
@@ -72,11 +73,6 @@ class MassOffset:
         """The shift (..., 2) [m] with the arm's headings (...) [rad], in axes of the base."""
         return np.asarray(self.base + _turned(heading) @ self.arm)
 
-    def spread(self, tipping: Tipping) -> float:
-        """Standard deviation [m] of where the zero-moment point is across a tipping's edge."""
-        row, _ = tipping.row()
-        return float(np.sqrt(row @ self.covariance @ row))
-
 
 def _turned(heading: ArrayLike) -> Array:
     """Rotation matrices (..., 2, 2) of angles (...) [rad]."""
@@ -94,8 +90,7 @@ def estimate_mass_offset(
     parallel show c. What of b is along an arm that always tips at right angles to the edge never shows, nor does it change when it
     tips there. Raises :class:`InputError` for spreads that are not positive, and values that are not finite.
     """
-    if not all(0.0 < s < np.inf for s in (base, arm, seen)):
-        raise InputError(f"mass offset: spreads must be positive and finite, got {base:g}, {arm:g} and {seen:g} m")
+    positive("mass offset, spreads", base=base, arm=arm, seen=seen)
     prior = np.array([base, base, arm, arm])
     pairs = [t.row() for t in tippings]
     rows = np.array([r for r, _ in pairs]).reshape(-1, 4) * prior / seen  # both sides in standard deviations

@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.checks import positive
 from wbmpc.errors import InputError
 
-Array = NDArray[np.float64]
 #: k [1/s] of a robot about a meter wide with its load half a meter high. Between 2.5 and 3.5 the beginning moves by 10 ms.
 GROWTH = 3.0
 #: A mean rate over WINDOW [s] above FAST [rad/s] is a rocking (fifty times a gyro's noise); it may have begun up to BEFORE [s] ago.

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.types import Timing
-
-Array = NDArray[np.float64]
 
 #: Gain [1/s] of the arm's position servos.
 ARM_GAIN = 5.0

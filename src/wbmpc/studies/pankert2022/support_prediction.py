@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.configurations import corners
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.constants import GRAVITY
@@ -20,7 +20,6 @@ from wbmpc.studies.pankert2022.mass_offset import MassOffset, Tipping
 from wbmpc.studies.pankert2022.rocking import rockings
 from wbmpc.studies.pankert2022.support_switches import Switch, resting_triangles, support_switches, upright
 
-Array = NDArray[np.float64]
 #: Feet (n, 2) [m], zero-moment points (k, 2) [m] and forces (k,) [N] that press on the ground.
 Stances = tuple[Array, Array, Array]
 #: The arm turns after the block was raised with RAISE [m/s] and the robot has stood for REST [s].

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.stability.geometry import Triangle, checked_feet, cross, edge_distances, support_triangles
 
-Array = NDArray[np.float64]
 #: Largest step [m] by which a foot may stand above a face that still counts as carrying.
 _LEVEL = 1e-9
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.constants import GRAVITY
@@ -27,7 +28,6 @@ from wbmpc.studies.pankert2022.wipe_plant import WipeMeasurement
 from wbmpc.tasks.paths import Approach, rise, risen
 from wbmpc.types import Observation
 
-Array = np.ndarray
 #: The way on the wall: where it begins along it, its height and the wall's place across, as far as it is known [m].
 BEGIN, HEIGHT, WALL = -0.20, 0.90, 0.85
 #: Share of the end effector's way along the wall that the base makes.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.log import Log
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.studies.pankert2022.metrics import in_both_frames, rms
 from wbmpc.studies.pankert2022.wipe_control import Wipe
 
-Array = np.ndarray
 #: Goals: rms error of the force over the force; rms error along the path [m].
 FORCE_GOAL, PATH_GOAL = 0.10, 0.002
 #: The force is judged from so long [s] after its rise; what is not this force [N] is no contact; of so many physics steps one is drawn.

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from wbmpc.arrays import Array
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.robots import RobotDescription
@@ -17,7 +18,6 @@ from wbmpc.simulation.force_tip import FORCE, TIP, ForceSensor, add_tip, contact
 from wbmpc.simulation.wheeled import CREEP_DECAY, SLIDING_IMPEDANCE
 from wbmpc.types import Edit
 
-Array = np.ndarray
 #: Half the thickness and half the height of the wall [m], and how far it goes on beyond the points that say where it is [m].
 HALF_THICKNESS, HALF_HEIGHT, BEYOND = 0.05, 1.0, 1.0
 #: Stiffness [1/s²] and damping [1/s] of the contact over its apparent mass: the spring behind the tip is what is soft.

@@ -15,7 +15,9 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
-from wbmpc.studies.race import MAKERS
+from wbmpc.studies.race.ballbot import ballbot
+from wbmpc.studies.race.differential import differential_manipulator
+from wbmpc.studies.race.swerve import swerve
 from wbmpc.tasks.paths import SinePath
 
 Limits = Literal["hard", "soft"]
@@ -57,7 +59,6 @@ def swerve_bench(
 def rezero_bench(
     intervals: int = 65,
     settings: SQP | None = None,
-    step: float = 0.1,
     limits: Limits = "hard",
     horizon: float | None = None,
 ) -> Problem:
@@ -69,7 +70,7 @@ def rezero_bench(
     home, torque = ball_base(robot).numeric.equilibrium(robot.home[robot.state["arm"]])
     u0 = np.concatenate([torque, np.zeros(3)])
     position, orientation = robot.pose(home)
-    solver.set_reference("end_effector", Reference.poses([0.0], [position + [step, 0.0, 0.0]], orientation))
+    solver.set_reference("end_effector", Reference.poses([0.0], [position + [0.1, 0.0, 0.0]], orientation))
     solver.set_reference("body", Reference.constant(home))
     solver.set_reference("twist", Reference.constant(np.zeros(6)))
     solver.set_reference("torque", Reference.constant(u0))
@@ -85,9 +86,9 @@ RACE = RaceProblems(
         "ball robot with arm, 65 intervals": lambda settings: rezero_bench(65, settings),
     },
     sizes={
-        "ballbot": (MAKERS["ballbot"], 0.62, 5.0),
-        "differential-manipulator": (MAKERS["differential-manipulator"], 0.26, 5.0),
-        "swerve-base": (MAKERS["swerve-base"], 3.1, 5.0),
-        "swerve-arm": (MAKERS["swerve-arm"], 4.7, 4.0),
+        "ballbot": (ballbot, 0.62, 5.0),
+        "differential-manipulator": (differential_manipulator, 0.26, 5.0),
+        "swerve-base": (partial(swerve, arm=False), 3.1, 5.0),
+        "swerve-arm": (partial(swerve, arm=True), 4.7, 4.0),
     },
 )

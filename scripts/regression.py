@@ -1,7 +1,7 @@
 """Metrics of every experiment and its variants, recorded once and compared after a change, to the last digit.
 
-    python -m wbmpc.studies.regression record FILE.json [--only NAME ...] [--seeds 0 1] [--fast]
-    python -m wbmpc.studies.regression compare FILE.json [--only NAME ...] [--seeds 0 1] [--fast]
+    python scripts/regression.py record FILE.json [--only NAME ...] [--seeds 0 1] [--fast]
+    python scripts/regression.py compare FILE.json [--only NAME ...] [--seeds 0 1] [--fast]
 
 Each case is a process of its own, ``wbmpc run NAME --seed S --set KEY=VALUE ... --json``; what FILE already holds is not recorded
 again. ``compare`` runs the cases that FILE holds and prints every metric that differs: exit status 1 if one does. ``--fast``
