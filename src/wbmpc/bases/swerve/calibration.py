@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
@@ -293,7 +294,7 @@ def _fitted(
     return WheelFit(found, previous, poses.taken, len(record.places), poses.deviance)
 
 
-def _doubted(prior: WheelCalibration, wheels: Array) -> WheelCalibration:
+def _doubted(prior: WheelCalibration, wheels: NDArray[np.bool_]) -> WheelCalibration:
     """What was known before, nothing of some ``wheels`` (n) bool: who reads the result sees that they were left out."""
     both, covariance = np.concatenate([wheels, wheels]), prior.covariance.copy()
     wide = np.maximum(_std(prior), np.repeat(LEFT_OUT, wheels.size))
