@@ -15,6 +15,7 @@ from planar_driving import Constant, ideal_plant
 from wbmpc import lie
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.wheels.control import WheelsController, WheelsOdometry
+from wbmpc.default_problem import default_mpc
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.robots import load_spec
 from wbmpc.simulation.any_perturbation import AnyPerturbation
@@ -145,6 +146,32 @@ def test_steered_tires_roll_in_the_plan(tmp_path: Path) -> None:
         robot.base.matrices(x[robot.state["steer"]])[1] @ u[:7] * RADIUS for x, u in zip(states, inputs, strict=True)
     ]
     assert np.abs(slip).max() < 2e-3
+
+
+def test_rates_of_steered_wheels_hold_however_far_the_goal_is(tmp_path: Path) -> None:
+    """The robot goes to a goal that appears 3.6 m away, without physics. Truth: MuJoCo's velocities of the wheels' centers in the plan's
+    motion, over the radius, against the file's 12 rad/s."""
+    robot = wb.load_robot(write(tmp_path, BESIDE, casters=[[0.3, 0.0], [-0.3, 0.0]]))
+    mpc = default_mpc(robot)
+    position, orientation = robot.pose(robot.home)
+    mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position + [3.0, 2.0, 0.0]], orientation)
+    model = load_spec(robot.description).compile()
+    data, x, fastest = mujoco.MjData(model), robot.home, 0.0
+    steer = robot.state.groups["steer"]
+    for k in range(100):
+        u = mpc.update(wb.Observation(t=0.02 * k, x=x)).feedforward(0.02 * k + 0.01)
+        for name, angle, rate in zip(steer, x[robot.state["steer"]], u[robot.input["steer"]], strict=True):
+            data.joint(name).qpos[0], data.joint(name).qvel[0] = angle, rate
+        mujoco.mj_forward(model, data)
+        for wheel in robot.description.base.wheels:
+            joint, jacobian = model.joint(wheel.joint), np.zeros((3, model.nv))
+            mujoco.mj_jacBodyCom(model, data, jacobian, None, int(joint.bodyid[0]))
+            at = data.xpos[int(joint.bodyid[0])]
+            velocity = jacobian @ data.qvel + [u[0] - u[2] * at[1], u[1] + u[2] * at[0], 0.0]
+            along = np.cross(data.xaxis[joint.id], [0.0, 0.0, 1.0])
+            fastest = max(fastest, abs(float(along @ velocity)) / RADIUS)
+        x = mpc.simulate(x, u, 0.02)
+    assert 9.0 < fastest < 12.0 * 1.02
 
 
 @pytest.mark.parametrize("kind", ["beside", "casters"])

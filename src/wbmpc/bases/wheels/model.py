@@ -204,7 +204,13 @@ class WheelsBase(PlanarBase):
             upper = constant(1.0 / self.wheel_upper[limited])
             rates = lambda s: upper * (self.by_input(self.matrices(s.x[part])[0])[limited, :] @ s.u[:size])
             found.append(
-                Constraint("wheels", residuals.Expression(len(limited), rates), sets.Box(-1.0, 1.0), hard=hard, slack=RATE_SLACK)
+                Constraint(
+                    "wheels",
+                    residuals.Expression(len(limited), rates),
+                    sets.Box(-1.0, 1.0),
+                    hard=hard,
+                    slack=RATE_SLACK,
+                )
             )
         return found
 
