@@ -208,6 +208,21 @@ def test_wheels_roll_as_their_steering_turns(kind: str, tmp_path: Path) -> None:
         assert abs(along @ velocity) < 0.002, (wheel.joint, along @ velocity)
 
 
+def test_a_plan_goes_on_from_where_steering_is_that_is_held(tmp_path: Path) -> None:
+    """A wheel that does not turn, whatever it is told: for 0.9 s the plan turns it by 1 rad/s. The state that plans begin with is 0.3 rad from
+    the encoder's at most, the file's truth of the joint; without a limit it would be 0.9 rad."""
+    robot = wb.load_robot(write(tmp_path, CASTERS))
+    n = len(robot.state.groups["steer"])
+    controller, plans = WheelsController(robot, np.zeros(3), 0.0025, lag=0.02), PolicyQueue()
+    plans.add(0.0, Constant(np.array([0.1, 0.0, 0.0, *np.ones(n), 0.0, 0.0])))  # type: ignore[arg-type]
+    held = np.full(n, 0.4)
+    for k in range(360):
+        controller.measure(PlanarMeasurement(0.0025 * k, np.zeros(n), robot.home[-2:], steer=held))
+        controller.command(0.0025 * k, plans)
+    off = controller.state()[robot.state["steer"]] - held
+    assert np.abs(off).max() < 0.33 and off.min() > 0.2
+
+
 @pytest.mark.parametrize(("kind", "base"), [("tricycle", {}), ("beside", {"casters": [[0.3, 0.0], [-0.3, 0.0]]})])
 def test_it_drives_ahead_in_mujoco(kind: str, base: dict[str, Any], tmp_path: Path) -> None:
     robot = wb.load_robot(write(tmp_path, KINDS[kind], **base))
