@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -91,3 +92,20 @@ def test_a_standing_arm_starts_well_above_the_floor(tmp_path: Path) -> None:
         mujoco.mj_kinematics(simulated, data)
         lifted = ("forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
         assert min(data.body(name).xpos[2] for name in lifted) > 0.2
+
+
+def test_what_is_new_has_as_many_warnings_as_the_doctor_finds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model without shapes."""
+    bare, out = tmp_path / "bare.xml", tmp_path / "bare.yaml"
+    bare.write_text(re.sub(r"<geom[^>]*/>", "", load_robot("ur5").description.model.read_text()))
+    assert main(["new", str(bare), "--yes", "--out", str(out)]) == 0
+    summary = capsys.readouterr().out
+    assert main(["doctor", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert (
+        "has no shapes" in " ".join(said.split())
+        and "0 errors, 1 warning," in said
+        and "0 errors, 1 warnings" in summary
+    )

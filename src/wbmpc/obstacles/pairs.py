@@ -255,7 +255,7 @@ def unlisted(robot: RobotModel, seed: int = 1) -> tuple[int, dict[Pair, int]]:
     count = min(LOOKED_AT, max(LOOKED_AT_BOUNDS // len(geometry.shapes) ** 2, 2))
     reach = max((1.0 + HOME_SHARE) * own.margin, TOUCHING)
     apart = distances(geometry, listed + others, draw_states(robot, count, seed), reach)
-    kept = np.asarray(apart >= _kept(apart[0], own.margin))[:, : len(listed)].all(axis=1)
+    kept = np.array((apart >= _kept(apart[0], own.margin))[:, : len(listed)].all(axis=1))
     touching = np.asarray(apart[:, len(listed) :] < TOUCHING)
     drawn = touching[0] | (touching.mean(axis=0) >= OFTEN)
     often = (touching & kept[:, None] & ~drawn).sum(axis=0)
