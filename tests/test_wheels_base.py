@@ -209,7 +209,7 @@ def test_wheels_roll_as_their_steering_turns(kind: str, tmp_path: Path) -> None:
 
 
 def test_a_plan_goes_on_from_where_steering_is_that_is_held(tmp_path: Path) -> None:
-    """A wheel that does not turn, whatever it is told: for 0.9 s the plan turns it by 1 rad/s. The state that plans begin with is 0.3 rad from
+    """A wheel that does not turn although commands come: for 0.9 s the plan turns it by 1 rad/s. The state that plans begin with is 0.3 rad from
     the encoder's at most, the file's truth of the joint; without a limit it would be 0.9 rad."""
     robot = wb.load_robot(write(tmp_path, CASTERS))
     n = len(robot.state.groups["steer"])
