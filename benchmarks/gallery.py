@@ -22,10 +22,15 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from wbmpc.clearance.rows import SELF_REACH, SelfRows
 from wbmpc.cli import main as wbmpc
+from wbmpc.default_problem import ACCELERATION_SHARE
 from wbmpc.errors import WbmpcError
 from wbmpc.experiment import run_scenario
 from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.obstacles.floor import floor_boxes, heights
+from wbmpc.obstacles.pairs import self_pairs
+from wbmpc.ocp.clearance_residuals import SelfClearance, stopping_time
 from wbmpc.ocp.scaling import reach
 from wbmpc.tasks import goals, track
 from wbmpc.tasks.following import PathTaskSettings, Task
@@ -115,10 +120,13 @@ def paths(robot: RobotModel, length: float) -> Iterator[dict[str, Any]]:
 
 def reached(robot: RobotModel, path: dict[str, Any]) -> bool:
     """Whether a standing robot has a posture within its ranges, away from singular ones, for every pose of one lap: by SciPy's least
-    squares, each from the posture before."""
-    task = Task(PathTaskSettings.model_validate({"robot": robot.description.name, "plant": "kinematic", "path": path}))
+    squares, each from the posture before; and whether such a motion is one that plans allow."""
+    settings = PathTaskSettings.model_validate(
+        {"robot": str(robot.description.source), "plant": "kinematic", "path": path}
+    )
+    task, task_speed = Task(settings), settings.path.speed
     lower, upper = robot.limits.state_lower + EDGE, robot.limits.state_upper - EDGE
-    x = np.clip(robot.home, lower, upper)
+    x, states = np.clip(robot.home, lower, upper), []
     for goal in task.path.at(np.linspace(0.0, task.path.length / path["laps"], DENSE)):
 
         def off(x: np.ndarray, goal: np.ndarray = goal) -> np.ndarray:
@@ -129,7 +137,31 @@ def reached(robot: RobotModel, path: dict[str, Any]) -> bool:
         x = fit.x
         if np.abs(fit.fun).max() > 1e-5 or np.linalg.svd(fit.jac, compute_uv=False)[RANK - 1] < SINGULAR:
             return False
-    return True
+        states.append(x)
+    return allowed(robot, np.array(states), task.path.length / path["laps"] / task_speed / (DENSE - 1))
+
+
+def allowed(robot: RobotModel, states: np.ndarray, interval: float) -> bool:
+    """Whether states (n, nx) every ``interval`` [s] are motions that plans allow: near the floor, between pairs of the robot's parts, and by
+    accelerations of an arm that has no other postures for the same poses."""
+    boxes, found = floor_boxes(robot), []
+    if len(robot.state.groups["arm"]) <= RANK:
+        changes = np.diff(states[:, robot.state["arm"]], n=2, axis=0) / interval**2
+        found.append(ACCELERATION_SHARE * robot.limits.input_rate[robot.input["arm"]] - np.abs(changes))
+    if boxes:
+        found.append(approached(robot, heights(robot, list(boxes), states), [b.margin for b in boxes], interval))
+    if robot.description.collision.self.pairs and self_pairs(robot):
+        rows = SelfRows(SelfClearance(robot))
+        found.append(approached(robot, np.minimum(rows.measure(states), SELF_REACH), rows.margins, interval))
+    return all((rows >= 0.0).all() for rows in found)
+
+
+def approached(
+    robot: RobotModel, apart: np.ndarray, margins: Sequence[float] | np.ndarray, interval: float
+) -> np.ndarray:
+    """Of distances (n, k) [m]: what is left of them beyond ``margins`` at the end of a stop."""
+    kept = apart - np.asarray(margins)
+    return kept + stopping_time(robot) * np.gradient(kept, interval, axis=0)
 
 
 def examine(name: str, robot: str, quick: bool = False, seed: int = 1) -> Row:

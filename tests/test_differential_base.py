@@ -205,10 +205,11 @@ def test_a_number_that_is_not_finite_is_not_taken_in():
     assert odometry.update(0.1, [1.0, 1.0], None) == pytest.approx([WHEEL, 0.0, 0.0])
 
 
-def driven(u: list[float], ticks: int, lag: float = 0.0) -> tuple[PlanarController, PolicyQueue, Any]:
-    """A controller that has sent ``ticks`` commands of a plan that asks for (v, wz) = u from standstill, arm at rest."""
+def driven(u: list[float], ticks: int, lag: float = 0.0, arm: float = 0.0) -> tuple[PlanarController, PolicyQueue, Any]:
+    """A controller that has sent ``ticks`` commands of a plan that asks for (v, wz) = u from standstill, and for the rate ``arm`` of all
+    joints."""
     controller, plans = PlanarController(ROBOT, np.zeros(3), 0.0025, lag), PolicyQueue()
-    plans.add(0.0, Constant(np.array([*u, *np.zeros(6)])))  # type: ignore[arg-type]
+    plans.add(0.0, Constant(np.array([*u, *[arm] * 6])))  # type: ignore[arg-type]
     controller.measure(PlanarMeasurement(0.0, np.zeros(2), ROBOT.home[3:]))
     command = None
     for k in range(ticks):
@@ -220,6 +221,13 @@ def test_wheels_too_fast_are_slowed_down_together():
     controller, _, command = driven([1.2, 0.5], 400)
     assert controller.clamped and np.abs(command.wheel).max() == pytest.approx(10.0)
     assert command.wheel / command.wheel[1] == pytest.approx(wheel_rates(1.2, 0.5) / wheel_rates(1.2, 0.5)[1])
+
+
+def test_a_base_that_is_asked_for_too_much_does_not_hold_the_arm_back():
+    """Wheels are at their 10 rad/s after 0.5 s at 20 rad/s². What the plan asks for beyond that never comes; the arm has its rate."""
+    _, _, command = driven([1.2, 0.5], 210, arm=0.5)
+    assert np.abs(command.wheel).max() == pytest.approx(10.0)
+    assert command.arm == pytest.approx(0.5)
 
 
 def test_commands_start_as_fast_as_wheels_may_accelerate_and_prediction_knows_it():

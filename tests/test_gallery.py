@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from effort import some
+from wbmpc.cli import main
 from wbmpc.model.robot import load_robot
+from wbmpc.robots import load_spec
 from wbmpc.robots.doctor import examine_robot
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -74,3 +78,34 @@ def test_paths_are_as_long_as_they_are_to_be(name: str) -> None:
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         assert 4.99 < length < 6.0
         assert robot.description.base.moves or np.ptp(points, axis=0).max() < 0.6
+
+
+def test_a_standing_arm_starts_well_above_the_floor(tmp_path: Path) -> None:
+    """As `wbmpc new` has it. Truth: MuJoCo's heights of all that the arm lifts, which reaches 0.95 m; plans keep 30 mm to the floor."""
+    model, out = load_robot("ur5").description.model, tmp_path / "mine.yaml"
+    assert main(["new", str(model), "--yes", "--out", str(out)]) == 0
+    for robot in (load_robot(str(out)), load_robot("ur5")):
+        simulated = load_spec(robot.description).compile()
+        data = mujoco.MjData(simulated)
+        for name, angle in zip(robot.state.groups["arm"], robot.home, strict=True):
+            data.joint(name).qpos = angle
+        mujoco.mj_kinematics(simulated, data)
+        lifted = ("forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link")
+        assert min(data.body(name).xpos[2] for name in lifted) > 0.2
+
+
+def test_what_is_new_has_as_many_warnings_as_the_doctor_finds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model without shapes."""
+    bare, out = tmp_path / "bare.xml", tmp_path / "bare.yaml"
+    bare.write_text(re.sub(r"<geom[^>]*/>", "", load_robot("ur5").description.model.read_text()))
+    assert main(["new", str(bare), "--yes", "--out", str(out)]) == 0
+    summary = capsys.readouterr().out
+    assert main(["doctor", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert (
+        "has no shapes" in " ".join(said.split())
+        and "0 errors, 1 warning," in said
+        and "0 errors, 1 warnings" in summary
+    )

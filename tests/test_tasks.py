@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
 import wbmpc as wb
 from effort import thorough
@@ -480,3 +481,16 @@ def test_pairs_come_near_faster_among_obstacles() -> None:
     rows = [ocp.terms["self_clearance"].residual for ocp in (alone, among)]
     assert 0.0 < rows[1].approach == pytest.approx(EVADING * rows[0].approach)  # type: ignore[attr-defined]
     assert rows[0].pairs == rows[1].pairs == self_pairs(robot)  # type: ignore[attr-defined]
+
+
+def test_goals_are_drawn_for_a_robot_without_shapes(tmp_path: Path) -> None:
+    """As a URDF has it whose meshes are of a format that is not read. Truth: the ranges of the file."""
+    description = wb.load_robot("ur5").description
+    (tmp_path / "bare.xml").write_text(re.sub(r"<geom[^>]*/>", "", description.model.read_text()))
+    data = yaml.safe_load(Path(description.source).read_text())
+    del data["collision"]
+    (tmp_path / "bare.yaml").write_text(yaml.safe_dump(data | {"model": "bare.xml"}))
+    robot = wb.load_robot(tmp_path / "bare.yaml")
+    states = goals.random_states(robot, goals.GoalsSettings(robot=str(tmp_path / "bare.yaml")), 0)
+    assert states.shape == (4, 6) and (np.abs(states) <= 2.0 * np.pi).all()
+    assert len({tuple(x) for x in states}) == 4

@@ -15,6 +15,7 @@ from planar_driving import Constant, ideal_plant
 from wbmpc import lie
 from wbmpc.bases.planar_motion.messages import PlanarCommand, PlanarMeasurement
 from wbmpc.bases.wheels.control import WheelsController, WheelsOdometry
+from wbmpc.default_problem import default_mpc
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.robots import load_spec
 from wbmpc.simulation.any_perturbation import AnyPerturbation
@@ -147,6 +148,32 @@ def test_steered_tires_roll_in_the_plan(tmp_path: Path) -> None:
     assert np.abs(slip).max() < 2e-3
 
 
+def test_rates_of_steered_wheels_hold_however_far_the_goal_is(tmp_path: Path) -> None:
+    """The robot goes to a goal that appears 3.6 m away, without physics. Truth: MuJoCo's velocities of the wheels' centers in the plan's
+    motion, over the radius, against the file's 12 rad/s."""
+    robot = wb.load_robot(write(tmp_path, BESIDE, casters=[[0.3, 0.0], [-0.3, 0.0]]))
+    mpc = default_mpc(robot)
+    position, orientation = robot.pose(robot.home)
+    mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position + [3.0, 2.0, 0.0]], orientation)
+    model = load_spec(robot.description).compile()
+    data, x, fastest = mujoco.MjData(model), robot.home, 0.0
+    steer = robot.state.groups["steer"]
+    for k in range(100):
+        u = mpc.update(wb.Observation(t=0.02 * k, x=x)).feedforward(0.02 * k + 0.01)
+        for name, angle, rate in zip(steer, x[robot.state["steer"]], u[robot.input["steer"]], strict=True):
+            data.joint(name).qpos[0], data.joint(name).qvel[0] = angle, rate
+        mujoco.mj_forward(model, data)
+        for wheel in robot.description.base.wheels:
+            joint, jacobian = model.joint(wheel.joint), np.zeros((3, model.nv))
+            mujoco.mj_jacBodyCom(model, data, jacobian, None, int(joint.bodyid[0]))
+            at = data.xpos[int(joint.bodyid[0])]
+            velocity = jacobian @ data.qvel + [u[0] - u[2] * at[1], u[1] + u[2] * at[0], 0.0]
+            along = np.cross(data.xaxis[joint.id], [0.0, 0.0, 1.0])
+            fastest = max(fastest, abs(float(along @ velocity)) / RADIUS)
+        x = mpc.simulate(x, u, 0.02)
+    assert 9.0 < fastest < 12.0 * 1.02
+
+
 @pytest.mark.parametrize("kind", ["beside", "casters"])
 def test_wheels_roll_as_their_steering_turns(kind: str, tmp_path: Path) -> None:
     """Steering that is behind its plan is ordered to catch up, and wheels beside it roll along, where they are: else each holds the
@@ -179,6 +206,21 @@ def test_wheels_roll_as_their_steering_turns(kind: str, tmp_path: Path) -> None:
         mujoco.mj_jac(model, data, jacobian, None, data.xpos[body] - [0.0, 0.0, RADIUS], body)
         velocity = jacobian @ data.qvel
         assert abs(along @ velocity) < 0.002, (wheel.joint, along @ velocity)
+
+
+def test_a_plan_goes_on_from_where_steering_is_that_is_held(tmp_path: Path) -> None:
+    """A wheel that does not turn although commands come: for 0.9 s the plan turns it by 1 rad/s. The state that plans begin with is 0.3 rad from
+    the encoder's at most, the file's truth of the joint; without a limit it would be 0.9 rad."""
+    robot = wb.load_robot(write(tmp_path, CASTERS))
+    n = len(robot.state.groups["steer"])
+    controller, plans = WheelsController(robot, np.zeros(3), 0.0025, lag=0.02), PolicyQueue()
+    plans.add(0.0, Constant(np.array([0.1, 0.0, 0.0, *np.ones(n), 0.0, 0.0])))  # type: ignore[arg-type]
+    held = np.full(n, 0.4)
+    for k in range(360):
+        controller.measure(PlanarMeasurement(0.0025 * k, np.zeros(n), robot.home[-2:], steer=held))
+        controller.command(0.0025 * k, plans)
+    off = controller.state()[robot.state["steer"]] - held
+    assert np.abs(off).max() < 0.33 and off.min() > 0.2
 
 
 @pytest.mark.parametrize(("kind", "base"), [("tricycle", {}), ("beside", {"casters": [[0.3, 0.0], [-0.3, 0.0]]})])

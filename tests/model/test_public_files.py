@@ -16,6 +16,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.obstacles.geometry import robot_geometry
 from wbmpc.robots import load_spec, xacro_file
+from wbmpc.robots.xacro_file import find_package
 
 INERTIA = '<inertial><origin xyz="0 0 0.1"/><mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
 GOOD = INERTIA.format(2, 0.01)
@@ -205,6 +206,20 @@ def test_macros_are_expanded(tmp_path: Path) -> None:
         )
     with pytest.raises(InputError, match=r"ROS package 'nowhere' is not found; .* --package nowhere=FOLDER"):
         load_robot(robot_file(tmp_path, "b.xacro", text.replace("my_parts", "nowhere")))
+
+
+def test_a_folder_is_a_package_of_its_own_name_whatever_its_manifest_says(tmp_path: Path) -> None:
+    """As example-robot-data has it: its models call the folder, which its manifest calls otherwise. One that a manifest names comes first."""
+    folder = tmp_path / "robots-data" / "robots" / "one"
+    folder.mkdir(parents=True)
+    (tmp_path / "robots-data" / "package.xml").write_text("<package><name>robot_descriptions</name></package>")
+    assert find_package("robots-data", folder, {}) == tmp_path / "robots-data"
+    named = tmp_path / "elsewhere"
+    (named / "robots-data").mkdir(parents=True)
+    (named / "package.xml").write_text("<package><name>robots-data</name></package>")
+    (named / "robots-data" / "package.xml").write_text("<package><name>other</name></package>")
+    assert find_package("robots-data", named / "robots-data", {}) == named
+    assert find_package("nowhere", folder, {}) is None
 
 
 def test_a_joint_with_an_empty_range_cannot_be_used(tmp_path: Path) -> None:

@@ -18,7 +18,16 @@ from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.obstacles.geometry import RobotGeometry, _cover, robot_geometry
-from wbmpc.obstacles.pairs import diagnose, distances, draw_states, list_pairs, own_margins, propose_pairs, self_pairs
+from wbmpc.obstacles.pairs import (
+    diagnose,
+    distances,
+    draw_states,
+    list_pairs,
+    own_margins,
+    propose_pairs,
+    self_pairs,
+    unlisted,
+)
 from wbmpc.obstacles.solids import Solid
 from wbmpc.ocp.clearance_residuals import SELF_WIDTH, SelfClearance
 
@@ -216,6 +225,24 @@ def test_pairs_to_ignore_are_left_out_and_the_rest_is_shown(tmp_path: Path) -> N
     assert ("foot", "fore") in propose_pairs(robot).pairs and ("foot", "fore") not in self_pairs(robot)
     text = " ".join(f.message for f in diagnose(robot))
     assert "4 shapes on 4 frames" in text and "confirm them" in text and "[shoulder, fore]" in text
+
+
+def test_a_pair_that_touches_and_is_not_in_the_file_is_found(tmp_path: Path) -> None:
+    """Truth: MuJoCo's contacts, state by state."""
+    section = "collision: {{self: {{pairs: [{}], ignore: [{}]}}}}"
+    kept = [("shoulder", "fore"), ("foot", "upper")]
+    bare = load_robot(write_arm(tmp_path, section.format("[shoulder, fore], [foot, upper]", "")))
+    count, found = unlisted(bare)
+    states, pair = draw_states(bare, count, seed=1), frozenset(("foot", "fore"))
+    apart = distances(robot_geometry(bare), kept, states, 0.05) >= own_margins(bare, kept, 0.02)
+    held = states[apart.all(axis=1)]
+    assert found == {("foot", "fore"): sum(pair in touching(bare, x[None]) for x in held)}
+    (said,) = [f for f in diagnose(bare) if f.severity == "warning"]
+    assert f"[foot, fore] in {found['foot', 'fore']}" in said.text and "[[foot, fore]]" in said.fix
+    for k, lists in enumerate([("[foot, upper], [fore, foot]", ""), ("[foot, upper]", "[fore, foot]")]):
+        (tmp_path / str(k)).mkdir()
+        known = load_robot(write_arm(tmp_path / str(k), section.format(*lists)))
+        assert unlisted(known) == (count, {}) and [f for f in diagnose(known) if f.severity == "warning"] == []
 
 
 TELESCOPE = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="base"><freejoint/>

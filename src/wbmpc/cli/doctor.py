@@ -44,7 +44,7 @@ WIDTH = 140
 _COUNTED = {"error": "error", "warning": "warning", "info": "note"}
 
 
-def _collisions(path: str) -> list[Finding]:
+def collisions(path: str) -> list[Finding]:
     """What of its own a robot that loads keeps apart."""
     from wbmpc.model.robot import load_robot
     from wbmpc.obstacles.pairs import diagnose
@@ -73,7 +73,7 @@ def doctor(
     folders = {name: Path(folder) for name, folder in pairs("--package", package).items()}
     result = examine_robot(robot, folders, pairs("--argument", argument))
     if not result.count("error") and not folders and Path(result.robot).suffix in (".yaml", ".yml"):
-        result = replace(result, findings=(*result.findings, *_collisions(result.robot)))
+        result = replace(result, findings=(*result.findings, *collisions(result.robot)))
     if as_json:
         findings = [vars(f) for f in result.findings]
         summary = {

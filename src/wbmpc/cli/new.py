@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wbmpc.cli.directories import AsJson, Force, new_file
-from wbmpc.cli.doctor import Arguments, Packages, pairs
+from wbmpc.cli.doctor import Arguments, Packages, collisions, pairs
 from wbmpc.errors import InputError, printable, shell_command
 
 if TYPE_CHECKING:
@@ -305,6 +305,7 @@ def _summary(path: Path, draft: Draft, home: Home, robot: RobotModel, data: Mapp
         check = shell_command("wbmpc", "doctor", draft.mechanism.file.path)
         yield f"  note: its wheels stand still; why no base type drives them: {check}"
     found = examine_robot(str(path))
-    yield f"  {shell_command('wbmpc', 'doctor', path)}: {found.count('error')} errors, {found.count('warning')} warnings"
+    warnings = found.count("warning") + sum(f.severity == "warning" for f in collisions(str(path)))
+    yield f"  {shell_command('wbmpc', 'doctor', path)}: {found.count('error')} errors, {warnings} warnings"
     shown = offers(draft.base, "system")
     yield f"  next: {shell_command('wbmpc', 'view', path)}" if shown else f"  next: wb.load_robot({str(path)!r})"

@@ -29,6 +29,10 @@ FILE_SAMPLES, OFTEN, MAX_PAIRS = 4000, 0.5, 20
 #: Bounds of pairs of shapes that are made in all and at a time, and distances that are computed, at most: a model of hundreds of
 #: shapes is sampled in fewer states. One beyond so many shapes is not.
 MAX_BOUNDS, AT_ONCE, MAX_EXACT, MAX_SHAPES = 10_000_000, 1_000_000, 300_000, 1000
+#: Of a robot file's pairs it is looked in at most so many states, and in fewer where shapes are many, whether others touch.
+LOOKED_AT, LOOKED_AT_BOUNDS = 1000, 400_000
+#: Of those so many are named with how often.
+NAMED = 5
 #: Shapes that are nearer [m] overlap.
 TOUCHING = 1e-6
 #: A pair keeps no margin at home of which less than this share is left, or that share of its distance there where that is less.
@@ -240,6 +244,24 @@ def arm_pairs(robot: RobotModel) -> tuple[Pair, ...]:
     return tuple((a, b) for a, b in self_pairs(robot) if still(a) and still(b))
 
 
+def unlisted(robot: RobotModel, seed: int = 1) -> tuple[int, dict[Pair, int]]:
+    """Pairs that :func:`self_pairs` does not have and that touch in random states in which all that it has keep their margins, with how many
+    of them; and how many states were drawn. Not those that the robot file ignores or that touch at home or in most states."""
+    geometry, own = robot_geometry(robot), robot.description.collision.self
+    key = lambda pair: frozenset(rigid_link(robot, frame) for frame in pair)
+    listed = list(self_pairs(robot))
+    known = {key(pair) for pair in (*listed, *own.ignore)}
+    others = [p for p in combinations(_bodies(geometry), 2) if key(p) not in known and not _adjacent(robot, *p)]
+    count = min(LOOKED_AT, max(LOOKED_AT_BOUNDS // len(geometry.shapes) ** 2, 2))
+    reach = max((1.0 + HOME_SHARE) * own.margin, TOUCHING)
+    apart = distances(geometry, listed + others, draw_states(robot, count, seed), reach)
+    kept = np.array((apart >= _kept(apart[0], own.margin))[:, : len(listed)].all(axis=1))
+    touching = np.asarray(apart[:, len(listed) :] < TOUCHING)
+    drawn = touching[0] | (touching.mean(axis=0) >= OFTEN)
+    often = (touching & kept[:, None] & ~drawn).sum(axis=0)
+    return len(apart), {others[i]: int(often[i]) for i in np.argsort(-often, kind="stable") if often[i]}
+
+
 def diagnose(robot: RobotModel) -> Iterator[Finding]:
     """What of its own a robot keeps apart, for a person to confirm."""
     geometry, own = robot_geometry(robot), robot.description.collision.self
@@ -252,6 +274,7 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
         yield Finding(
             "info", "collision", "key 'collision.self.pairs'", f"{len(self_pairs(robot))} pairs, confirmed", ""
         )
+        yield from _missing(robot)
         return
     found = proposal_of(robot)
     pairs = ", ".join(f"[{a}, {b}]" for a, b in self_pairs(robot))
@@ -262,6 +285,20 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
         f"{len(found.never)} others do not)" + (f"; these touch at home or are always near and are left out: {touching}" if touching else ""),
         f"confirm them: collision: {{self: {{pairs: [{pairs}]}}}}",
     )  # fmt: skip
+
+
+def _missing(robot: RobotModel) -> Iterator[Finding]:
+    """A warning where parts touch that no pair of the robot file keeps apart."""
+    samples, found = unlisted(robot)
+    if found:
+        often = ", ".join(f"[{a}, {b}] in {n}" for (a, b), n in list(found.items())[:NAMED])
+        more = f" and {len(found) - NAMED} others" if len(found) > NAMED else ""
+        pairs = ", ".join(f"[{a}, {b}]" for a, b in found)
+        yield Finding(
+            "warning", "collision", "key 'collision.self.pairs'",
+            f"parts touch that no pair keeps apart, of {samples} random states {often}{more}",
+            f"add them to 'collision.self.pairs', or to 'collision.self.ignore' where only their shapes touch: [{pairs}]",
+        )  # fmt: skip
 
 
 def _links(robot: RobotModel) -> set[str]:

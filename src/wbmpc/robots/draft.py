@@ -195,11 +195,11 @@ def home_of(draft: Draft, held: Mapping[str, float], height: float | None) -> Ho
         height = WORKING_HEIGHT
     ground = ground_of(draft)
     above, ahead, held = None if height is None else height + ground, np.array([1.0, 0.0]), dict(held)
-    home = find_home(draft.mechanism, draft.arm.joints, draft.tool, held, above, ahead)
+    home = find_home(draft.mechanism, draft.arm.joints, draft.tool, held, above, ahead, floor=ground)
     for arm in draft.beside:
         held |= home.angles
         own = tuple(n for n in arm.joints if n not in held)
-        other = find_home(draft.mechanism, own, arm.tool, held, above, ahead)
+        other = find_home(draft.mechanism, own, arm.tool, held, above, ahead, floor=ground)
         free = other.free if home.free in (None, True) else home.free
         home = replace(home, angles=home.angles | other.angles, free=free)
     return home

@@ -15,6 +15,11 @@ from wbmpc.robots.mechanism import Mechanism
 TRIED, LOOKED_AT = 2000, 40
 #: Share of each range, at both ends, that a home keeps away from; half range [rad] of a continuous joint.
 MARGIN, TURNS = 0.15, np.pi
+#: Of an arm that may work at any height: share of its reach above the floor at which its lowest joint is high enough, and what lower
+#: postures count at least. Plans keep arms off the floor, and who starts near it can hardly go down.
+HIGH, LOW = 0.25, 0.05
+#: Joints that move by less [m] are not lifted.
+STILL = 1e-6
 #: Rotation counts as so much [m] per radian in manipulability; spread [m] about the working height; fastest joint [rad/s or m/s] that counts.
 LEVER, SPREAD, FAST = 0.4, 0.3, 2.0
 #: Singular values are none below this share of the largest.
@@ -33,19 +38,23 @@ class Home:
 
 def find_home(
     mechanism: Mechanism, joints: tuple[str, ...], tool: str, held: dict[str, float], height: float | None,
-    forward: Array, seed: int = 0,
+    forward: Array, seed: int = 0, floor: float = 0.0,
 ) -> Home:  # fmt: skip
     """The best of random postures of ``joints`` with the others ``held``: manipulability, the tool ahead (along ``forward`` (2)) and at
-    ``height`` [m] (None: wherever), away from the ends of ranges and without collision of the file's shapes."""
+    ``height`` [m] (None: wherever, well above the ``floor`` [m]), away from the ends of ranges and without collision of the file's
+    shapes."""
     search = _Search(mechanism, joints, tool, held)
     rng = np.random.default_rng(seed)
     share = rng.uniform(MARGIN, 1.0 - MARGIN, (TRIED, len(joints)))
     postures = search.low + share * (search.high - search.low)
-    at, quality = search.evaluate(postures)
+    at, quality, lowest = search.evaluate(postures)
     middle = np.median(at, axis=0)
     reach = max(float(np.quantile(np.linalg.norm(at - middle, axis=1), 0.98)), 1e-6)
     ahead = np.clip((at - middle)[:, :2] @ forward / reach + 0.2, 0.05, 1.0)
-    level = 1.0 if height is None else np.exp(-(((at[:, 2] - height) / SPREAD) ** 2))
+    if height is None:
+        level = np.clip((lowest - floor) / (HIGH * reach), LOW, 1.0)
+    else:
+        level = np.exp(-(((at[:, 2] - height) / SPREAD) ** 2))
     score = quality * ahead * level * np.prod(1.0 - (2.0 * share - 1.0) ** 4, axis=1)
     best = np.argsort(-score)[:LOOKED_AT]
     free = search.free(postures[best])
@@ -84,16 +93,18 @@ class _Search:
         speeds = [mechanism.joints[n].drive.velocity or FAST for n in joints]
         self._speed = np.minimum(speeds, FAST)
 
-    def evaluate(self, postures: Array) -> tuple[Array, Array]:
-        """Positions (n, 3) [m] of the tool, manipulability (n)."""
+    def evaluate(self, postures: Array) -> tuple[Array, Array, Array]:
+        """Positions (n, 3) [m] of the tool, manipulability (n), heights (n) [m] of the lowest of the tool and the joints that others lift."""
         at, values = np.zeros((len(postures), 3)), np.zeros((len(postures), min(6, len(self._joint))))
         m, d = self.model, self.data
+        heights = np.zeros((len(postures), len(self._joint) + 1))
         jacobian = np.zeros((6, m.nv))
         for k, posture in enumerate(postures):
             self._pose(d.qpos, posture)
             mujoco.mj_kinematics(m, d)
             mujoco.mj_comPos(m, d)
             at[k] = d.xpos[self._body] if self._site < 0 else d.site_xpos[self._site]
+            heights[k] = *d.xpos[m.jnt_bodyid[self._joint], 2], at[k, 2]
             mujoco.mj_jac(m, d, jacobian[:3], jacobian[3:], at[k], self._body)
             columns = jacobian[:, self._v]
             for follower, leader, ratio, _ in self._followers:
@@ -102,7 +113,9 @@ class _Search:
             speeds[3:] *= LEVER
             values[k] = np.linalg.svd(speeds, compute_uv=False)
         independent = int(np.max(np.sum(values > _RANK * values.max(), axis=1)))  # joints of a telescope move one way
-        return at, values[:, max(independent, 1) - 1]
+        lifted = np.ptp(heights, axis=0) > STILL
+        lifted[-1] = True
+        return at, values[:, max(independent, 1) - 1], heights[:, lifted].min(axis=1)
 
     def _pose(self, q: Array, posture: Array) -> None:
         """Write a posture, and what follows it, to all positions."""

@@ -42,10 +42,13 @@ def locate(name: str, folder: Path, packages: Mapping[str, Path]) -> Path | None
 
 def find_package(name: str, folder: Path, packages: Mapping[str, Path]) -> Path | None:
     """The folder of a ROS package: the one in ``packages`` (its name to its folder), else the nearest around ``folder`` that is called like
-    it or whose ``package.xml`` names it; None where there is none."""
+    it or whose ``package.xml`` names it, else one that is called like it although its ``package.xml`` has another name; None where there
+    is none."""
     if name in packages:
         return packages[name] if isdir(packages[name]) else None
-    return next((home for home in _around(folder.resolve(), name) if _is_package(home, name)), None)
+    around = list(_around(folder.resolve(), name))
+    called = (home for home in around if home.name == name and isdir(home))
+    return next((home for home in around if _is_package(home, name)), None) or next(called, None)
 
 
 def _around(folder: Path, name: str) -> Iterator[Path]:

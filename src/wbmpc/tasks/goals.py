@@ -45,7 +45,7 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
     """States (count, nx): the base further by a random way, the arm about its home, where it is clear of the robot and
     of the floor."""
     rng, arm = np.random.default_rng([seed, 20]), robot.state["arm"]
-    pairs = SelfRows(SelfClearance(robot)) if self_pairs(robot) else None
+    pairs = own_rows(robot)
     boxes = list(floor_boxes(robot))
     kept = np.array([box.margin for box in boxes])
     low, high = robot.limits.state_lower[arm], robot.limits.state_upper[arm]
@@ -71,6 +71,14 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
             row[start : start + 2] += at
             row[start + 2] += rng.uniform(-1.0, 1.0)
     return states
+
+
+def own_rows(robot: RobotModel) -> SelfRows | None:
+    """Distances of the robot's pairs; None of one that has none, as without shapes."""
+    try:
+        return SelfRows(SelfClearance(robot)) if self_pairs(robot) else None
+    except InputError:  # without shapes, or with meshes that are missing
+        return None
 
 
 def build(settings: GoalsSettings, seed: int) -> Scenario:

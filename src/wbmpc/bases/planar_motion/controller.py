@@ -224,13 +224,22 @@ class PlanarController:
 
     def _limited(self, sent: Array, u: Array) -> tuple[Array, bool]:
         """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period, all drives by
-        the same share; then the base's speeds scaled so that every wheel keeps its limit. Wheels that are limited one by one drag
-        each other. Also whether they were scaled."""
+        the same share, and with the base's speeds scaled so that every wheel keeps its limit. Wheels that are limited one by one drag
+        each other. Also whether they were scaled. What u has beyond the wheels' limits is no way to go: it would slow the arm down for
+        as long as it is asked for."""
         base, part, rates = planar_base(self.robot), self._moving, self.wheel_matrix()
+        u, too_fast = self._within_wheels(u, rates)
         step = u - sent
         steps = np.abs(np.concatenate([rates @ step[part], step]))
         maximum = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate]) * self.period
-        reached = sent + step / max(1.0, float(np.max(steps / maximum)))
-        excess = float(np.max(np.abs(rates @ reached[part]) / base.wheel_upper))
-        reached[part] /= max(1.0, excess)
-        return reached, excess > 1.0
+        reached, scaled = self._within_wheels(sent + step / max(1.0, float(np.max(steps / maximum))), rates)
+        return reached, too_fast or scaled
+
+    def _within_wheels(self, u: Array, rates: Array) -> tuple[Array, bool]:
+        """An input (nu) with the base's speeds scaled so that every wheel keeps its limit; whether they had to be."""
+        excess = float(np.max(np.abs(rates @ u[self._moving]) / planar_base(self.robot).wheel_upper))
+        if excess <= 1.0:
+            return u, False
+        scaled = u.copy()
+        scaled[self._moving] /= excess
+        return scaled, True

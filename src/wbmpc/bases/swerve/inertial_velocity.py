@@ -21,7 +21,7 @@ TILT, ZEROS_AT_REST, ZEROS, REST = 2.0, 2.0, 30.0, 0.005
 #: Times [s] in which the velocity goes to the wheels', and in which accelerations' zeros are learned.
 FOLLOW, ACCELERATION_ZEROS = 0.05, 3.0
 #: A wheel whose velocity is off by this [m/s] counts half.
-NEAR = 0.007
+NEAR = 0.01
 #: What a wheel counts at most of which the controller knows that it slips.
 ANNOUNCED = 0.05
 

@@ -20,6 +20,9 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 
 #: Gain [1/s] of the loop that brings measured steering angles to those of the plan.
 STEERING_GAIN = 10.0
+#: How far [rad] planned steering angles are from measured ones at most: steering that is held back, as by tires that slide, is where plans
+#: go on from, which drive where it points. Beyond that wheels would push against each other for as long as the plan goes on.
+FARTHEST = 0.3
 #: Standard deviation [rad] of a wheel's slip over each radian that it turns.
 SLIP = 0.01
 
@@ -140,4 +143,7 @@ class WheelsController(PlanarController):
         super()._note(sent)
         self.planned = self.planned + sent[self._steer] * self.period
         self._turning = self._turning + self._blend * (sent[self._steer] - self._turning)
+        if self.measured is not None and self.measured.steer.size == self.planned.size:
+            there = self.measured.steer + self.lag * self._turning
+            self.planned = np.clip(self.planned, there - FARTHEST, there + FARTHEST)
         self._rates[self._steer] = self._changes[self._steer] = 0.0  # planned angles do not lag

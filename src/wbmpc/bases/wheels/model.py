@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 #: Of the rows that keep steered tires from slipping sideways: measured steering angles never agree exactly.
 SOFTNESS = 1e-6
+#: Of the wheels' rates, per share of the largest and second: more than any goal pulls with. Rates depend on steering angles, so their rows
+#: have a slack, and what a plan has of it no wheel does.
+RATE_SLACK = 1e6
 #: How far tires that do not steer may disagree: angle [rad], distance [m] of their axles' lines.
 _PARALLEL, _BESIDE = 1e-3, 0.002
 
@@ -201,7 +204,13 @@ class WheelsBase(PlanarBase):
             upper = constant(1.0 / self.wheel_upper[limited])
             rates = lambda s: upper * (self.by_input(self.matrices(s.x[part])[0])[limited, :] @ s.u[:size])
             found.append(
-                Constraint("wheels", residuals.Expression(len(limited), rates), sets.Box(-1.0, 1.0), hard=hard)
+                Constraint(
+                    "wheels",
+                    residuals.Expression(len(limited), rates),
+                    sets.Box(-1.0, 1.0),
+                    hard=hard,
+                    slack=RATE_SLACK,
+                )
             )
         return found
 
