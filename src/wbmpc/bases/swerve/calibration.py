@@ -124,23 +124,32 @@ def _reject_other_legs(geometry: ModuleGeometry, record: WheelRecord) -> None:
 @dataclass(frozen=True)
 class WheelFit:
     """What a record shows of the wheels: ``calibration``, of what was believed ``previous`` (its doubt wider than the one given where
-    the record asked for it); global poses ``used`` and ``given``; ``deviance`` of those used, see
-    :attr:`~wbmpc.bases.swerve.late_poses.LatePoses.deviance`."""
+    the record asked for it); which wheels (n) ``count``, the others were left out; global poses ``used`` and ``given``, and their
+    ``deviance``, see :attr:`~wbmpc.bases.swerve.late_poses.LatePoses.deviance`."""
 
     calibration: WheelCalibration
     previous: WheelCalibration
+    count: NDArray[np.bool_]
     used: int
     given: int
     deviance: float
 
+    def mean_zero(self) -> tuple[float, float]:
+        """Mean of the steer zeros of wheels that count, and its standard deviation [rad]."""
+        found, n = self.calibration, self.calibration.modules
+        return float(found.steer_offset[self.count].mean()), float(
+            np.sqrt(found.covariance[:n, :n][np.ix_(self.count, self.count)].mean())
+        )
+
     def hidden(self) -> dict[str, tuple[Array, Array]]:
-        """Combinations of the wheels' numbers that the record did not show, of "steer zeros" and of "radii": weights (k, n) of norm
+        """Combinations of the numbers of wheels that count that the record did not show, of "steer zeros" and of "radii": weights (k, n) of norm
         1, and standard deviations (k) [rad, or relative] of the weighted sums, which are still what they were before."""
         out = {}
         for name, part in _PARTS(self.calibration.modules).items():
             root, shown, ways = _shown(self.previous, self.calibration, part)
             weights = ways.T[shown < SHOWN] @ np.linalg.pinv(root)
             weights = weights / np.linalg.norm(weights, axis=1, keepdims=True)
+            weights = weights[np.sum(weights[:, self.count] ** 2, axis=1) > 0.5]
             covariance = weights @ self.calibration.covariance[part, part] @ weights.T
             out[name] = (weights, np.sqrt(np.diag(covariance)))
         return out
@@ -201,7 +210,7 @@ def fit_wheels(
 
     The filter goes over the record again, from what it found, with more doubt of what was believed before, as long as what it
     found is more than ``SURPRISING`` standard deviations from that, or poses do not fit. Wheels that do not carry the base are left out,
-    those off a :func:`carrying_diagonal` or one that hangs in the air, the latter with a warning: they keep their doubt.
+    those off a :func:`carrying_diagonal` or one that hangs in the air, the latter with a warning (:data:`LEFT_OUT`).
 
     Raises :class:`InputError` for a record that still contradicts itself then (by its channel 'gyro', where it does not
     without it), or shows nothing; other arguments and errors as of :func:`replay`.
@@ -220,8 +229,8 @@ def fit_wheels(
         raise
 
 
-#: A deviance that is smaller by this says that a diagonal carries the base: the poses are e^30 times as likely.
-DIAGONAL = 60.0
+#: A deviance that is smaller by this says that a diagonal carries the base: the poses are e^50 times as likely.
+MIN_DEVIANCE_DROP = 100.0
 
 
 def carrying_diagonal(
@@ -234,12 +243,13 @@ def carrying_diagonal(
     other slide, and friction is about as large as the load whatever the speed: the wheels with more load determine the motion, alone,
     and not the mean of all. A record in which each wheel is turned aside for a while shows which. Open hinges are no rigid base.
     """
-    if geometry.modules != 4 or np.any(record.brake > 0.5):
+    swung = np.ptp(record.leg, axis=0).max(initial=0.0) > STILL
+    if geometry.modules != 4 or swung or np.any(record.brake > 0.5):
         return None
     legs = record.leg.mean(axis=0) if record.leg.size else np.zeros(4)
     # loads by which four wheels press each other against the floor: no force, no moments
     pressed = np.linalg.svd(np.column_stack([np.ones(4), geometry.steer_axes(legs)]).T)[2][-1]
-    best, deviance = None, fit.deviance - DIAGONAL
+    best, deviance = None, fit.deviance - MIN_DEVIANCE_DROP
     for side in (pressed, -pressed):
         if np.count_nonzero(side > 0.0) != 2:
             continue
@@ -247,8 +257,7 @@ def carrying_diagonal(
             found = _fitted(geometry, record, prior, noise, np.where(side > 0.0, 1.0, WEIGHT))
         except InputError:
             continue
-        # a pose that is left out would make what others say more likely
-        if found.used >= fit.used and found.deviance < deviance:
+        if found.deviance < deviance:
             best, deviance = found, found.deviance
     return best
 
@@ -271,8 +280,9 @@ def _fitted(
 ) -> WheelFit:  # fmt: skip
     """As :func:`fit_wheels`, whatever it is that contradicts itself."""
     prior = prior or WheelCalibration.unknown(geometry)
-    if weights is not None:
-        prior = _doubted(prior, weights < 1.0)
+    count = np.ones(geometry.modules, bool) if weights is None else weights >= 1.0
+    if not count.all():
+        prior = _doubted(prior, ~count)
     previous, start, widened = prior, prior, False
     for _ in range(PASSES):
         odometry = replay(geometry, record, prior=start, noise=noise, weights=weights)
@@ -283,15 +293,15 @@ def _fitted(
             )
         found = _as_believed(geometry, odometry.calibration, previous, start)
         moved = _numbers(found, geometry) - _numbers(start, geometry)
-        wide = _doubts(geometry, previous, found, odometry)
+        wide = _doubts(geometry, previous, found, odometry, count)
         if max(wide) <= 1.0 and not (widened and np.abs(moved / _std(previous)).max() > MOVED):
             break
-        scale = np.repeat(wide, geometry.modules)
+        scale = np.where(np.tile(count, 2), np.repeat(wide, geometry.modules), 1.0)
         widened, previous = True, replace(previous, covariance=previous.covariance * np.outer(scale, scale))
         start = replace(found, covariance=previous.covariance)
-    _checked(odometry, record, previous, found)
+    _checked(odometry, record, previous, found, count)
     poses = odometry.global_poses
-    return WheelFit(found, previous, poses.taken, len(record.places), poses.deviance)
+    return WheelFit(found, previous, count, poses.taken, len(record.places), poses.deviance)
 
 
 def _doubted(prior: WheelCalibration, wheels: NDArray[np.bool_]) -> WheelCalibration:
@@ -327,21 +337,22 @@ def _contradicted(odometry: FusedOdometry) -> bool:
 
 
 def _doubts(
-    geometry: ModuleGeometry, previous: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry
-) -> list[float]:
-    """Factors by which zeros and radii are to be doubted more than before: 1 where they need not."""
+    geometry: ModuleGeometry, previous: WheelCalibration, found: WheelCalibration, odometry: FusedOdometry,
+    count: NDArray[np.bool_],
+) -> list[float]:  # fmt: skip
+    """Factors by which zeros and radii of the wheels that ``count`` are to be doubted more than before: 1 where they need not."""
     apart = _numbers(found, geometry) - _numbers(previous, geometry)
     parts = list(_PARTS(geometry.modules).values())
     wide = [_surprise(previous, found, part, apart) for part in parts]
-    std = _std(previous)
+    std = _std(previous).reshape(2, -1)[:, count]
     # wheels that point beside each other show zeros and radii that no pose shows, 2n - 3 parts of 2n of them
-    n = geometry.modules
+    n = int(count.sum())
     crooked = odometry.contradiction / np.sqrt(2.0 * np.mean(std**2) * (2 * n - 3) / (2 * n))
     if crooked > CROOKED:
         wide = [max(w, SURPRISING * crooked / CROOKED) for w in wide]
     if _contradicted(odometry) and max(wide) <= SURPRISING:
         wide = [max(w, WIDER) for w in wide]
-    limits = [maximum / std[part].max() for maximum, part in zip(MAXIMUM, parts, strict=True)]
+    limits = np.array(MAXIMUM) / std.max(axis=1)
     return [max(1.0, min(w, maximum)) if w > SURPRISING else 1.0 for w, maximum in zip(wide, limits, strict=True)]
 
 
@@ -350,15 +361,18 @@ def _std(wheels: WheelCalibration) -> Array:
     return np.maximum(np.concatenate(wheels.std), 1e-12)
 
 
-def _checked(odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibration, found: WheelCalibration) -> None:
+def _checked(
+    odometry: FusedOdometry, record: WheelRecord, previous: WheelCalibration, found: WheelCalibration, count: NDArray[np.bool_]
+) -> None:  # fmt: skip
     """Raise :class:`InputError` for a record that contradicts itself or shows nothing."""
     n, available = found.modules, len(record.places)
     if _contradicted(odometry):
         times = f"{np.sqrt(odometry.global_poses.misfit / 3.0):.1f} times"
         why = "" if odometry.global_poses.taken < 2 else f", with {times} the errors that they state"
+        zero, radius = (std[count].max() for std in previous.std)
         raise InputError(
             f"log: {odometry.global_poses.taken} of {available} global poses fit what wheels and gyro say{why}, though steer zeros may be "
-            f"{1e3 * previous.std[0].max():.3g} mrad off and radii {100 * previous.std[1].max():.2g} %; check units, signs, times "
+            f"{1e3 * zero:.3g} mrad off and radii {100 * radius:.2g} %; check units, signs, times "
             "and standard deviations of the channel 'place', and whether the base was moved by hand or slipped"
         )
     if max(_shown(previous, found, part)[1].max(initial=0.0) for part in _PARTS(n).values()) < SHOWN:

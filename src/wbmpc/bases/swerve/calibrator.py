@@ -43,7 +43,7 @@ class SwerveCalibration:
 
     def save(self, path: Path) -> None:
         """Write the file that runs read."""
-        notes = [f"not shown: {text}" for text in self._hidden()]
+        notes = [f"left out: {name}" for name in self._left_out()] + [f"not shown: {text}" for text in self._hidden()]
         self.fit.calibration.save(path, self.names, notes=notes, arm=self.arm, robot=self.robot)
 
     def table(self) -> dict[str, Any]:
@@ -57,12 +57,12 @@ class SwerveCalibration:
             for i, name in enumerate(self.names)
         }  # fmt: skip
         poses = {"used": self.fit.used, "given": self.fit.given}
-        return {"modules": rows, "poses": poses, "not_shown": self._hidden(), "arm": self.arm or {}}
+        unknown = {"left_out": self._left_out(), "not_shown": self._hidden()}
+        return {"modules": rows, "poses": poses, **unknown, "arm": self.arm or {}}
 
     def lines(self) -> list[str]:
         """The numbers, for readers; what the log does not show, and what was not used of it."""
-        found, std = self.fit.calibration, self.fit.calibration.std
-        mean = found.covariance[: found.modules, : found.modules].mean() ** 0.5
+        found, std, count = self.fit.calibration, self.fit.calibration.std, self.fit.count
         lines = [
             f"{name}: zero {1e3 * row['offset']:.2f} mrad (std {1e3 * row['offset_std']:.2f})"
             for name, row in (self.arm or {}).items()
@@ -72,16 +72,23 @@ class SwerveCalibration:
             f"radius {1e3 * found.wheel_radius[i]:.3f} mm (std {1e3 * found.wheel_radius[i] * std[1][i]:.3f})"
             for i, name in enumerate(self.names)
         ]
-        lines.append(f"mean of the steer zeros {1e3 * found.steer_offset.mean():.2f} mrad (std {1e3 * mean:.2f})")
+        mean, mean_std = self.fit.mean_zero()
+        lines.append(f"mean of the steer zeros {1e3 * mean:.2f} mrad (std {1e3 * mean_std:.2f})")
+        if left_out := self._left_out():
+            lines.append(f"left out, for the base does not go where they do: {', '.join(left_out)}")
         lines += [f"not shown by this drive: {text}" for text in self._hidden()]
-        if (self.fit.previous.covariance != self.prior.covariance).any():
-            zero, radius = (float(s.max()) for s in self.fit.previous.std)
+        previous, prior = (np.array(wheels.std)[:, count] for wheels in (self.fit.previous, self.prior))
+        if (previous != prior).any():
+            zero, radius = previous.max(axis=1)
             lines.append(
                 f"the wheels are farther off than was believed; taken to be before: zeros {1e3 * zero:.3g} mrad, radii "
                 f"{100 * radius:.2g} % (--zero-std, --radius-std)"
             )
         lost = "; the others do not fit the drive" if self.fit.given > self.fit.used else ""
         return [*lines, f"{self.fit.used} of {self.fit.given} global poses used{lost}"]
+
+    def _left_out(self) -> list[str]:
+        return [name for name, counts in zip(self.names, self.fit.count, strict=True) if not counts]
 
     def _hidden(self) -> list[str]:
         """What the log does not show of the wheels."""

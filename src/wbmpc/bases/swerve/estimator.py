@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.arrays import Array
@@ -186,7 +187,7 @@ class SwerveEstimator:
         if odd is None or inertial is None:
             return self._weights()
         rate = None if turning is None else turning - self.odometry.gyro_bias
-        odd.update(h, leg, None if rate is None else rate * h, known)
+        odd.update(h, leg, None if rate is None else rate * h, self._silent(known))
         assert self.measured is not None
         self._coasting = None
         if rate is None or not inertial.update(
@@ -197,6 +198,12 @@ class SwerveEstimator:
             return None
         self._coasting = inertial.velocity
         return np.maximum(inertial.weights, SLIP_WEIGHT)
+
+    def _silent(self, slips: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+        """Wheels (n) that have no say about others: those that slip, and those that do not carry the base."""
+        if self._known is None:
+            return slips
+        return self._known < 0.5 if slips is None else slips | (self._known < 0.5)
 
     def _weights(self) -> Array | None:
         """The same where there is no accelerometer."""

@@ -46,13 +46,13 @@ class Memory(NamedTuple):
 
 @step
 def inertial_velocity(
-    n: int, seen: Floats, announced: Floats, carries: Floats, weights: Floats, unit: Unit, memory: Memory, over: float, h: float,
+    n: int, seen: Floats, announced: Floats, wheel_weights: Floats, weights: Floats, unit: Unit, memory: Memory, over: float, h: float,
     yaw_rate: float, calm: bool,
 ) -> None:  # fmt: skip
     """Over h [s] with the readings of the ``unit`` and ``yaw_rate`` [rad/s] without its bias: the ``memory``, whose velocity is
     averaged over a time ``over`` [s] as velocities ``seen`` (n, 2) by wheels are, and ``weights`` (n) of the wheels, 1 of those that
     go as the unit does. ``calm``: the wheels agree, and the velocity follows them, but for those ``announced`` (n), 1 for wheels that
-    are known to slip; else it follows those near it, the less the fewer they are. Wheels count by ``carries`` (n)."""
+    are known to slip; else it follows those near it, the less the fewer they are. Wheels count by ``wheel_weights`` (n)."""
     mount, gyro, accel, inertial, averaged = unit.mount, unit.gyro, unit.accel, memory.inertial, memory.averaged
     zero, tilt, rate_zero = memory.zero, memory.tilt, memory.rate_zero
     rests = max(abs(inertial[0]), abs(inertial[1])) < REST
@@ -72,9 +72,9 @@ def inertial_velocity(
         share = weights[i]
         if calm:
             share = ANNOUNCED if announced[i] > 0.5 else 1.0
-        share *= carries[i]
+        share *= wheel_weights[i]
         total += share
-        wheels += carries[i]
+        wheels += wheel_weights[i]
         ahead += share * off_x
         aside += share * off_y
     gain = h / FOLLOW / (max(total, 1e-9) if calm else wheels)
@@ -95,21 +95,21 @@ GAP = 0.1
 class InertialVelocity:
     """Velocity of a base by accelerations and rates, which wheels that agree correct. ``seen`` (n, 2) [m/s]: the base's velocity by each
     wheel, an array that goes on. ``mount`` (3) [m]: where the inertial unit is, in axes of the base. ``weights`` (n): 1 for wheels that
-    go with the base, less for others. ``carries`` (n): what each counts by what is known of it (None: all alike).
+    go with the base, less for others. ``wheel_weights`` (n): what each counts by what is known of it (None: all alike).
 
     Where no wheel is near, the velocity coasts: integrals of accelerations are off by a few mm/s after half a second. What lasts (zeros,
     tilt of the floor) is learned from wheels that agree.
     """
 
-    def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), carries: Array | None = None) -> None:
+    def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), wheel_weights: Array | None = None) -> None:
         n = seen.size // 2
-        own = np.ones(n) if carries is None else carries.copy()
+        self._own = np.ones(n) if wheel_weights is None else wheel_weights.copy()
         self._mount, self._yaw_rate, self._counts = np.array(mount, float), 0.0, False
         pairs = ("inertial", "averaged", "zero", "tilt", "rate_zero")
         self.weights, self._announced, self._arrays = np.ones(n), np.zeros(n), {name: np.zeros(2) for name in pairs}
         self._gyro, self._accel, self._seen = np.zeros(3), np.zeros(3), seen
         arrays = {
-            **self._arrays, "seen": seen, "weights": self.weights, "announced": self._announced, "carries": own,
+            **self._arrays, "seen": seen, "weights": self.weights, "announced": self._announced, "wheel_weights": self._own,
             "gyro": self._gyro, "accel": self._accel, "mount": self._mount,
         }  # fmt: skip
         self._step = bind(inertial_velocity, arrays, n=n, over=OVER)
@@ -126,12 +126,14 @@ class InertialVelocity:
 
     @property
     def slip(self) -> float | None:
-        """Speed [m/s] of the wheel that is farthest from the base's velocity, of those that are not announced to slip; None before there
-        was a message of an inertial unit."""
+        """Speed [m/s] of the wheel that is farthest from the base's velocity, of those that count in full and are not announced to slip;
+        None before there was a message of an inertial unit."""
         if not self._counts:
             return None
         off = self._seen.reshape(-1, 2) - self._arrays["averaged"]
-        return float(np.sqrt(np.max(np.where(self._announced > 0.5, 0.0, np.sum(off**2, axis=1)))))
+        return float(
+            np.sqrt(np.max(np.where((self._announced > 0.5) | (self._own < 0.5), 0.0, np.sum(off**2, axis=1))))
+        )
 
     def update(
         self, h: float, gyro: Array, accel: Array, yaw_rate: float, announced: NDArray[np.bool_] | None,
@@ -144,7 +146,7 @@ class InertialVelocity:
         if not (NO_GRAVITY < math.hypot(*accel.tolist()) < BROKEN and math.hypot(*gyro.tolist()) < BROKEN):
             return False
         if not 0.0 < h < GAP:
-            self._arrays["averaged"][:] = self._seen.reshape(-1, 2).mean(axis=0)
+            self._arrays["averaged"][:] = np.average(self._seen.reshape(-1, 2), axis=0, weights=self._own)
             self._arrays["inertial"][:] = self._arrays["averaged"] + yaw_rate * self._lever
             return False
         self._gyro[:], self._accel[:], self._yaw_rate = gyro, accel, yaw_rate

@@ -30,7 +30,7 @@ class LatePoses:
         self._memory, self.past = memory, deque[Moment]()
         self._spare: Array | None = None  # a record that is not needed any more
         self.taken = self.rejected = self._rejections = 0
-        self._misfits = self._log_determinants = 0.0
+        self._misfits = self._deviance = 0.0
 
     @property
     def misfit(self) -> float:
@@ -39,8 +39,9 @@ class LatePoses:
 
     @property
     def deviance(self) -> float:
-        """Of the global poses taken in: -2 times the logarithm of their likelihood, but for a constant for each."""
-        return self._misfits + self._log_determinants
+        """Of all global poses that were judged, those that did not fit too: -2 times the logarithm of their likelihood, but for a constant
+        for each. One that does not fit counts as one at the gate, as likely as any that far off."""
+        return self._deviance
 
     def remember(self) -> None:
         """The state and the interval that the memory holds become past."""
@@ -104,6 +105,7 @@ class LatePoses:
         (3); None where it does not fit."""
         error = odometry_filter.apart(state, rates, t, z)
         misfit, log_determinant = odometry_filter.misfit(state, error, r)
+        self._deviance += min(misfit, GATE) + log_determinant
         if misfit > GATE:
             self._rejections += 1
             if self._rejections <= PATIENCE:
@@ -113,5 +115,4 @@ class LatePoses:
             return odometry_filter.replaced(state, error, r)
         self._rejections = 0
         self._misfits += misfit
-        self._log_determinants += log_determinant
         return odometry_filter.corrected(state, error, r)

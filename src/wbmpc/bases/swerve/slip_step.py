@@ -51,9 +51,11 @@ def slip_intensity(
     same time, and see less of slip that lasts: the largest of their answers is the least wrong. Before enough was seen, the mean
     square over k degrees of freedom is taken for 1 + 2 / k of itself, as a variance that is known from k squares.
     """
-    freedoms, speed = 2.0 * n - 3.0, 0.0
+    freedoms, speed = -3.0, 0.0
     for i in range(n):
+        freedoms += 2.0 * min(weights[i], 1.0)
         speed += abs(rolled[i]) / (n * h)
+    freedoms = max(freedoms, 1.0)
     decay = np.exp(-h / window)
     slip[Slip.SPEED] = decay * slip[Slip.SPEED] + (1.0 - decay) * speed
     moving, fade = slip[Slip.SPEED] > MOVING, decay ** (1.0 / MEMORY)

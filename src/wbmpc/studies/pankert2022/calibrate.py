@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.bases.swerve.calibration import fit_wheels
+from wbmpc.bases.swerve.calibration import WheelFit, fit_wheels
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Outcome, Scenario
 from wbmpc.log import Log
@@ -29,7 +28,7 @@ IDEALIZATIONS = [
 
 def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
     """The drive, and what a calibration finds in it; the log is the input of 'wbmpc calibrate'."""
-    robot, log, found = swerve_robot(settings.robot), Log(), list[WheelCalibration]()
+    robot, log, found = swerve_robot(settings.robot), Log(), list[WheelFit]()
 
     def run(progress: Progress | None) -> Outcome:
         controller, plant, reason = drive(robot, settings, seed, log, progress)
@@ -37,7 +36,7 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
             track_arm(robot, settings.plant, settings.tracked_poses, seed, log)
         try:
             if not reason:
-                found.append(fit_wheels(swerve_base(robot).geometry, record_of(log)).calibration)
+                found.append(fit_wheels(swerve_base(robot).geometry, record_of(log)))
         except InputError as error:  # the drive is worth keeping
             reason = f"the calibration: {error}"
         return Outcome(Ending.of(plant, reason=reason), list(map(str, controller.faults)), controller)
@@ -46,17 +45,17 @@ def build(settings: SwerveCalibrateSettings, seed: int) -> Scenario:
     return Scenario.single(log, run, measured, lambda _: _plots(log), IDEALIZATIONS)
 
 
-def _metrics(log: Log, found: WheelCalibration) -> dict[str, Metric]:
+def _metrics(log: Log, found: WheelFit) -> dict[str, Metric]:
     base, odometry, wheels = (log.array(n) for n in ("base", "base_odometry", "base_wheels"))
-    way = traveled(base)
+    way, (zero, zero_std) = traveled(base), found.mean_zero()
     return {
         "base_error_rms_world": Metric(rms((odometry - base)[:, :2]), "m", goal=0.010),
         "yaw_error_rms_world": Metric(rms((odometry - base)[:, 2]), "rad"),
         "base_path_length": Metric(way, "m"),
         "odometry_drift_ratio_wheels": Metric(float(np.hypot(*(wheels - base)[-1, :2])) / max(way, 1e-9), "1"),
-        "steer_zero_mean": Metric(float(found.steer_offset.mean()), "rad"),
-        "steer_zero_mean_std": Metric(float(np.sqrt(found.covariance[: found.modules, : found.modules].mean())), "rad"),
-        "wheel_radius_mean": Metric(float(found.wheel_radius.mean()), "m"),
+        "steer_zero_mean": Metric(zero, "rad"),
+        "steer_zero_mean_std": Metric(zero_std, "rad"),
+        "wheel_radius_mean": Metric(float(found.calibration.wheel_radius[found.count].mean()), "m"),
     }
 
 

@@ -43,9 +43,9 @@ class SwerveCalibrateSettings(Settings):
     ``pause`` [s] of standing before and after each; ``rounds`` of the whole; ``settle_time`` [s] before the first;
     ``lidar``: the source of the poses; ``tracked_poses`` of the arm
     at which its end effector is tracked after the drive;
-    ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base; ``aside`` [rad]:
-    by which, where brakes are closed, one wheel is turned aside on straight parts, another one in each round: how far the base
-    follows it shows which wheels carry the base."""
+    ``open_brakes``: whether straight parts go with open brakes, where there are brakes and open legs hold the base; ``toe`` [rad]:
+    by which one wheel of four on closed brakes is steered off its direction on straight parts, another one each time: how far the
+    base follows it shows which wheels carry the base."""
 
     robot: Robot = "swerve-ur10"
     speed: float = Field(0.4, ge=0.02, le=0.8)
@@ -55,7 +55,7 @@ class SwerveCalibrateSettings(Settings):
     rounds: int = Field(4, ge=1, le=20)
     settle_time: float = Field(5.0, ge=0, le=120)
     open_brakes: bool = True
-    aside: float = Field(0.006, ge=0, le=0.1)
+    toe: float = Field(0.006, ge=0, le=0.02)
     lidar: LidarSettings = LidarSettings()
     tracked_poses: int = Field(0, ge=0, le=1000)
     control: ControlSettings = ControlSettings()
@@ -73,15 +73,15 @@ LEG_GAIN, OPENING, SURE = 2.0, 0.4, 0.3
 
 class _Phase(NamedTuple):
     """``length`` [s] with the wheels at about ``steer`` (n), rolling ``twist`` (3) with smooth ramps of ``ramp`` [s] at both
-    ends (0: standing, the wheels turned to that twist); ``brake`` (n): 1 open, 0 closed; ``aside`` (n) [rad]: how far wheels are
-    turned off ``steer``."""
+    ends (0: standing, the wheels turned to that twist); ``brake`` (n): 1 open, 0 closed; ``toe`` (n) [rad]: how far wheels are
+    steered off that."""
 
     length: float
     steer: np.ndarray
     twist: np.ndarray
     ramp: float
     brake: np.ndarray
-    aside: np.ndarray
+    toe: np.ndarray
 
     def share(self, t: float) -> float:
         """Speed over full speed at ``t`` [s] of this phase."""
@@ -118,15 +118,16 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
         target = target - np.pi * (target > maximum) + np.pi * (target < minimum)
         turning = float(np.abs(target - steer).max()) / STEER_SPEED + 1.0
         steer, brake = target, closed if twist[2] or not s.open_brakes else _opened(geometry, leg, k)
-        aside = np.zeros(geometry.modules)
-        if not twist[2] and not brake.any():
-            wheel = k // len(strokes) % geometry.modules
-            aside[wheel] = -s.aside if steer[wheel] > 0.0 else s.aside
+        toe = np.zeros(geometry.modules)
+        if geometry.modules == 4 and not twist[2] and not brake.any():
+            # each wheel once in each direction over four rounds, and as many wheels as there are strokes in one
+            wheel = (k + k // len(strokes)) % 4
+            toe[wheel] = s.toe if 2.0 * steer[wheel] < minimum[wheel] + maximum[wheel] else -s.toe
         phases += [
-            _Phase(turning + s.pause, steer, twist, 0.0, closed, aside),
-            _Phase(opening * float(brake.max()), steer, twist, 0.0, brake, aside),
-            _Phase(length + ramp, steer, twist, min(ramp, 0.5 * (length + ramp)), brake, aside),
-            _Phase(s.pause, steer, twist, 0.0, closed, aside),
+            _Phase(turning + s.pause, steer, twist, 0.0, closed, toe),
+            _Phase(opening * float(brake.max()), steer, twist, 0.0, brake, toe),
+            _Phase(length + ramp, steer, twist, min(ramp, 0.5 * (length + ramp)), brake, toe),
+            _Phase(s.pause, steer, twist, 0.0, closed, toe),
         ]
     return phases
 
@@ -192,7 +193,7 @@ def drive(
                     log.add("base_wheels", plant.time, controller.estimator.wheels_alone.pose)
                 brake = phase.brake
                 steer, wheel = _rolled(rolling, phase, k * period, m.leg if swings else legs, legs)
-                turning = np.clip(STEER_GAIN * (steer + phase.aside - m.steer), -STEER_SPEED, STEER_SPEED)
+                turning = np.clip(STEER_GAIN * (steer + phase.toe - m.steer), -STEER_SPEED, STEER_SPEED)
                 command = SwerveCommand(wheel * controller.wheel_scale, turning, hold_arm(held, m.arm), brake)
                 tick(plant.time, command)
                 plant.step(command, steps)
