@@ -34,7 +34,7 @@ CALM = OdometryNoise(along=1e-5, across=1e-5, gyro_bias=0.01)
 #: Length [s] of each stroke; speeds of the body on them.
 STROKE = 12.0
 STROKES = np.array(
-    [[0.4, 0.0, 0.0], [0.0, 0.4, 0.0], [-0.4, 0.0, 0.0], [0.0, -0.4, 0.0], [0.0, 0.0, 0.4], [0.0, 0.0, -0.4]]
+    [[0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [-0.3, 0.0, 0.0], [0.0, -0.3, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, -0.3]]
 )
 
 

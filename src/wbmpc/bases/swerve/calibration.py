@@ -229,8 +229,8 @@ def fit_wheels(
         raise
 
 
-#: A deviance that is smaller by this says that a diagonal carries the base: the poses are e^50 times as likely.
-MIN_DEVIANCE_DROP = 100.0
+#: A deviance that is smaller by this says that a diagonal carries the base: the poses are e^35 times as likely.
+MIN_DEVIANCE_DROP = 70.0
 
 
 def carrying_diagonal(
