@@ -117,8 +117,8 @@ def test_open_legs_show_every_zero() -> None:
 
 @pytest.mark.parametrize("hanging", [0, 2])
 def test_a_wheel_in_the_air_is_left_out(hanging: int, caplog: pytest.LogCaptureFixture) -> None:
-    """It turns and rolls by numbers that have nothing to do with the base: the others are found as without it, it stays as uncertain as it
-    was. One whose zero alone is far off is no such wheel."""
+    """It turns and rolls by numbers that have nothing to do with the base: the others are found as without it, of it nothing is
+    known. One whose zero alone is far off is no such wheel."""
     base, rest = drawn(5, length=20.0), np.arange(4) != hanging
     data = record(base, (0.005, 0.005, 0.002))
     steer, wheel, t = data.steer.copy(), data.wheel.copy(), data.times

@@ -107,6 +107,19 @@ def test_covariance_fits_with_any_number_of_modules(geometry) -> None:  # type: 
     assert consistent(pose, 3), np.mean(pose)
 
 
+def test_covariance_fits_where_two_of_four_wheels_count() -> None:
+    """As that of two wheels: their one contradiction says how much wheels slip, whatever the others do."""
+    pose, weights = [], np.array([1.0, 1e-4, 1.0, 1e-4])
+    for seed in range(draws(10, 40)):
+        base = Drawn(FOUR, seed, slip=2e-3, length=8.0)
+        known = WheelCalibration.unknown(FOUR, 0.0, 0.0, 0.0)
+        odometry = FusedOdometry(FOUR, [0.4, -0.3, 0.2], calibration=known, noise=calm(gyro_bias=0.01))
+        for t, leg, steer, wheel, gyro in base:
+            odometry.update(t, leg, steer, wheel, gyro, weights=weights)
+        pose.append(squared(base.poses[-1] - odometry.pose, odometry.covariance))
+    assert consistent(pose, 3), np.mean(pose)
+
+
 def lasting_slip(geometry: ModuleGeometry, seed: int, speed: float, lasts: float) -> float:
     """Normalized error squared after 5 s straight on with wheels that slip along their way by an Ornstein-Uhlenbeck process of this
     ``speed`` [m/s], which ``lasts`` [s], two parts in space: along by the wheel, across by its steering."""

@@ -23,6 +23,7 @@ IDEALIZATIONS = [
     "global poses have independent normal noise; a real localization has errors that last as well",
     "the robot may drive about 4 m in each direction",
     "open hinges turn freely: one that sticks looks like a wheel that points where it should",
+    "the floor is flat: the wheels that carry a rigid base in the drive do so later",
 ]
 
 
