@@ -105,12 +105,12 @@ class Log:
         rows = self._together.get(channel)
         return np.array(self._rows[channel]) if rows is None else rows.array(channel)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path, follow: bool = True) -> None:
         """Write a NumPy archive, whole or not at all: CHANNEL and CHANNEL.time for each channel, CHANNEL.names and CHANNEL.units
-        where components have them."""
+        where components have them. Not ``follow``: a link in its place is replaced."""
         arrays = {c: self.array(c) for c in self.channels}
         arrays |= {f"{c}.time": self.times(c) for c in self.channels}
         for kind, found in (("names", self.names), ("units", self.units)):
             arrays |= {f"{c}.{kind}": np.array(own, str) for c, own in found.items() if c in self.channels}
-        with whole_file(path) as partial:
+        with whole_file(path, follow) as partial:
             np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
