@@ -15,6 +15,7 @@ from fake_experiment import FAKE, FakeSettings
 from wbmpc.output_file import write_text
 from wbmpc.recording.writer import McapFile
 from wbmpc.report import RUN_FILES, write_run
+from wbmpc.reproduce import _clip
 from wbmpc.tasks.simulation import _directory
 
 pytestmark = pytest.mark.usefixtures("empty_directory")
@@ -120,6 +121,19 @@ def test_a_link_that_is_put_where_a_run_writes_later_is_replaced(
     file.symlink_to("../precious")
     write_run(result, Path("out"))
     assert is_untouched(precious, before) and not file.is_symlink() and file.stat().st_size > 1000
+
+
+def test_a_clip_of_an_experiment_is_not_drawn_where_a_link_leads(
+    precious: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, job = precious.exists(), SimpleNamespace(name="task", done=True, directory=Path(), mark=Path("out"))
+    Path("out/task").mkdir()
+    Path("out/task/clip.mp4").symlink_to("../../precious")
+    monkeypatch.setattr("wbmpc.recording.reader.read_recording", lambda path: path)
+    monkeypatch.setattr("wbmpc.view.replay.Film", lambda recording: recording)
+    monkeypatch.setattr("wbmpc.view.render.render", lambda film, path, *_: path.write_text("film"))
+    assert "<video" in _clip([job], "task", Path("out"), True)  # type: ignore[list-item]
+    assert is_untouched(precious, before) and Path("out/task/clip.mp4").read_text() == "film"
 
 
 def test_a_link_to_what_is_no_file_is_replaced_too(precious: Path) -> None:

@@ -281,6 +281,8 @@ def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], cli
 def _clip(jobs: list[Job], name: str, out: Path, target: bool) -> str:
     """The clip of the first finished run, drawn once; or why there is none."""
     path, job = out / name / "clip.mp4", next(j for j in jobs if j.name == name and j.done)
+    if path.is_symlink():  # the name is ours, and what it leads to is not
+        path.unlink()
     if target and not (path.is_file() and path.stat().st_mtime >= job.mark.stat().st_mtime):
         from wbmpc.recording.reader import read_recording
         from wbmpc.view.render import render
