@@ -136,3 +136,19 @@ def test_an_error_of_which_nobody_is_seen_to_be_the_cause_names_all_parts(monkey
         "with base type 'rail' of another package (user_base_type:RailBaseType), "
         "base type 'track' of another package (own_bases:TrackBaseType): ValueError: "
     )
+
+
+def test_all_parts_of_the_package_that_raised_an_error_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its code is in one folder, and which of its parts called it is not known. Truth: the names that were noted, this file's line."""
+    monkeypatch.setattr(plugins, "_IN_USE", {})
+    plugins.note_use("base type 'rail'", f"{__name__}:RailBaseType")
+    plugins.note_use("base type 'track'", f"{__name__}:TrackBaseType")
+    plugins.note_use("base type 'other'", "own_bases:OtherBaseType")
+    try:
+        fail()
+    except ValueError as error:
+        found = str(plugins.mistake_in_use(error))
+    assert found.startswith(
+        f"base type 'rail' of another package ({__name__}:RailBaseType), "
+        f"base type 'track' of another package ({__name__}:TrackBaseType): ValueError: "
+    )

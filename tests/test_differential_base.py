@@ -223,6 +223,13 @@ def test_wheels_too_fast_are_slowed_down_together():
     assert command.wheel / command.wheel[1] == pytest.approx(wheel_rates(1.2, 0.5) / wheel_rates(1.2, 0.5)[1])
 
 
+def test_wheels_on_their_way_to_their_limits_are_not_counted_as_slowed_down() -> None:
+    """Wheels are at their 10 rad/s after 200 ticks at 20 rad/s². Until then a plan beyond that has what it asks for as fast as it comes."""
+    for ticks in (1, 100, 199, 202):
+        controller, _, command = driven([1.2, 0.5], ticks)
+        assert controller.clamped == (ticks > 200) == bool(np.abs(command.wheel).max() > 9.99), ticks
+
+
 def test_a_base_that_is_asked_for_too_much_does_not_hold_the_arm_back():
     """Wheels are at their 10 rad/s after 0.5 s at 20 rad/s². What the plan asks for beyond that never comes; the arm has its rate."""
     _, _, command = driven([1.2, 0.5], 210, arm=0.5)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import wbmpc as wb
+from clearing import write_arm
 from command_line import call
+from fake_experiment import FAKE, FakeSettings
+from wbmpc.output_file import write_text
 from wbmpc.recording.writer import McapFile
-from wbmpc.report import RUN_FILES
+from wbmpc.report import RUN_FILES, write_run
+from wbmpc.reproduce import _clip
 from wbmpc.tasks.simulation import _directory
 
 pytestmark = pytest.mark.usefixtures("empty_directory")
@@ -47,12 +53,105 @@ def test_tables_of_a_recording_are_not_written_where_a_link_leads(
     precious: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = precious.exists()
-    recording = McapFile(Path("run.mcap"))
-    recording.put("/mode", "std_msgs/String", 0.0, {"data": "H"})
-    recording.close()
+    recorded("run.mcap")
     Path("out/mode.csv").symlink_to("../precious")
     assert call("log", "export", "run.mcap", "/mode", "--out", "out", "--force") == 2
     assert "--out: 'out/mode.csv' is a link" in capsys.readouterr().err
+    assert is_untouched(precious, before)
+
+
+def recorded(path: str) -> None:
+    recording = McapFile(Path(path))
+    recording.put("/mode", "std_msgs/String", 0.0, {"data": "H"})
+    recording.close()
+
+
+#: Commands whose file has a name of their own, and that name.
+DEFAULTS = {
+    "plots.html": ("log", "plot", "run.mcap"), "foxglove.json": ("log", "layout", "run.mcap"), "export": ("log", "export", "run.mcap", "/mode"),
+    "compare.html": ("compare", "run.mcap", "run.mcap"), "arm.yaml": ("new", "arm.xml", "--yes"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_names_that_the_user_has_not_given_do_not_lead_elsewhere(
+    name: str, precious: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run that somebody else has packed may hold links; what --out names is the user's own choice."""
+    before = precious.exists()
+    recorded("run.mcap")
+    write_arm(Path())
+    Path("arm.yaml").unlink()
+    if name == "export":
+        Path("elsewhere").mkdir()
+    Path(name).symlink_to("elsewhere" if name == "export" else "precious")
+    assert call(*DEFAULTS[name], "--force") == 2
+    assert f"--out: '{name}' is a link" in capsys.readouterr().err
+    assert is_untouched(precious, before) and (name != "export" or not list(Path("elsewhere").iterdir()))
+    assert Path(name).is_symlink()
+    if name == "compare.html":
+        assert call(*DEFAULTS[name], "--force", "--out", name) == 0
+        assert Path(name).is_symlink() and len(precious.read_text()) > len("mine")
+
+
+def test_the_calibration_of_a_run_is_not_written_where_a_link_leads(
+    precious: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor where one is put while it is found."""
+    before, module = precious.exists(), "wbmpc.cli.calibration"
+    link = lambda: Path("calibration.yaml").symlink_to("precious")
+    found = SimpleNamespace(save=lambda path: path.write_text("found"), table=dict, lines=list)
+    calibrator = SimpleNamespace(find=lambda *_, **__: link() or found)
+    monkeypatch.setattr(f"{module}._channels", lambda path: ({}, path))
+    monkeypatch.setattr(f"{module}._calibrator_of", lambda *_: calibrator)
+    Path("log.npz").touch()
+    for _ in range(2):
+        assert call("calibrate", "log.npz", "--force") == 2
+        assert "--out: 'calibration.yaml' is a link" in capsys.readouterr().err
+        assert is_untouched(precious, before)
+
+
+@pytest.mark.parametrize("name", ["metrics.json", "log.npz", "report.html"])
+def test_a_link_that_is_put_where_a_run_writes_later_is_replaced(
+    name: str, precious: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the run goes on: the directory was free of it when it was chosen."""
+    before, file = precious.exists(), Path("out") / name
+    result = FAKE.run(FakeSettings(), 7)
+    file.symlink_to("../precious")
+    write_run(result, Path("out"))
+    assert is_untouched(precious, before) and not file.is_symlink() and file.stat().st_size > 1000
+
+
+def test_a_clip_of_an_experiment_is_not_drawn_where_a_link_leads(
+    precious: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, job = precious.exists(), SimpleNamespace(name="task", done=True, directory=Path(), mark=Path("out"))
+    Path("out/task").mkdir()
+    Path("out/task/clip.mp4").symlink_to("../../precious")
+    monkeypatch.setattr("wbmpc.recording.reader.read_recording", lambda path: path)
+    monkeypatch.setattr("wbmpc.view.replay.Film", lambda recording: recording)
+    monkeypatch.setattr("wbmpc.view.render.render", lambda film, path, *_: path.write_text("film"))
+    assert "<video" in _clip([job], "task", Path("out"), True)  # type: ignore[list-item]
+    assert is_untouched(precious, before) and Path("out/task/clip.mp4").read_text() == "film"
+
+
+def test_a_link_to_what_is_no_file_is_replaced_too(precious: Path) -> None:
+    """A pipe would wait for its reader, a directory would have the file in it."""
+    os.mkfifo("pipe")
+    for name in ("pipe", "out"):
+        Path("link").symlink_to(name)
+        write_text(Path("link"), "new", follow=False)
+        assert not Path("link").is_symlink() and Path("link").read_text() == "new"
+        Path("link").unlink()
+    assert not list(Path("out").iterdir()) and Path("pipe").is_fifo()
+
+
+def test_a_recording_is_not_written_where_a_link_leads(precious: Path) -> None:
+    before = precious.exists()
+    Path("run.mcap").symlink_to("precious")
+    with pytest.raises(OSError, match="symbolic link"):
+        McapFile(Path("run.mcap"))
     assert is_untouched(precious, before)
 
 

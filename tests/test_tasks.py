@@ -494,3 +494,11 @@ def test_goals_are_drawn_for_a_robot_without_shapes(tmp_path: Path) -> None:
     states = goals.random_states(robot, goals.GoalsSettings(robot=str(tmp_path / "bare.yaml")), 0)
     assert states.shape == (4, 6) and (np.abs(states) <= 2.0 * np.pi).all()
     assert len({tuple(x) for x in states}) == 4
+
+
+def test_goals_of_a_robot_whose_pairs_cannot_be_found_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has shapes, and goals that are drawn as if it had none may let it run into itself. Truth: the limit that is set here."""
+    robot = wb.load_robot("rezero")
+    monkeypatch.setattr("wbmpc.obstacles.pairs.MAX_SHAPES", 1)
+    with pytest.raises(wb.InputError, match="shapes; at most 1 "):
+        goals.random_states(robot, goals.GoalsSettings(robot="rezero"), 0)

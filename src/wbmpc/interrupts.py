@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -155,12 +155,25 @@ def exits_seen() -> Iterator[None]:
         yield
     except SystemExit as error:
         status = error.code if isinstance(error.code, int) else int(error.code is not None)
+        if os.getpid() != process:
+            _end_child(leave, status, "" if isinstance(error.code, int | None) else f"{error.code}\n")
         raise
     finally:
         if os.getpid() != process:
-            sys.stdout.flush()
-            leave(status)
+            _end_child(leave, status)
         os._exit = leave
+
+
+def _end_child(leave: Any, status: int, text: str = "") -> None:
+    """With its ``text`` and what it has written, where that can be done at all: it ends in any case."""
+    try:
+        with suppress(Exception):
+            sys.stderr.write(text)
+        sys.stdout.flush()
+    except BaseException:  # no output, a closed one, a full disk, a signal
+        pass
+    finally:
+        leave(status & 0xFF)
 
 
 def see_exits() -> Any:

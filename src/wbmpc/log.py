@@ -108,9 +108,14 @@ class Log:
     def save(self, path: Path) -> None:
         """Write a NumPy archive, whole or not at all: CHANNEL and CHANNEL.time for each channel, CHANNEL.names and CHANNEL.units
         where components have them."""
-        arrays = {c: self.array(c) for c in self.channels}
-        arrays |= {f"{c}.time": self.times(c) for c in self.channels}
-        for kind, found in (("names", self.names), ("units", self.units)):
-            arrays |= {f"{c}.{kind}": np.array(own, str) for c, own in found.items() if c in self.channels}
-        with whole_file(path) as partial:
-            np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
+        write_log(self, path)
+
+
+def write_log(log: Log, path: Path, follow: bool = True) -> None:
+    """As :meth:`Log.save`; ``follow``: as of :func:`~wbmpc.output_file.whole_file`."""
+    arrays = {c: log.array(c) for c in log.channels}
+    arrays |= {f"{c}.time": log.times(c) for c in log.channels}
+    for kind, found in (("names", log.names), ("units", log.units)):
+        arrays |= {f"{c}.{kind}": np.array(own, str) for c, own in found.items() if c in log.channels}
+    with whole_file(path, follow) as partial:
+        np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]

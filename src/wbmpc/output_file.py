@@ -12,26 +12,29 @@ from wbmpc.errors import NotWritten
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, follow: bool = True) -> Iterator[Path]:
     """Where to write what then becomes ``path``: a file beside it with the same ending, which takes its place at the end.
 
     Where that fails or is interrupted, ``path`` stays as it was and nothing is left. A full disk raises :class:`NotWritten`
     naming ``path``, and so does a pipe with a name, which would wait for its reader. What else is there and no regular file (a
-    device, an open pipe of the shell's) is written itself.
+    device, an open pipe of the shell's) is written itself. A link stays one, and what it leads to is written; not ``follow``: it is
+    replaced, as where the name is the program's own, and the link somebody else's.
     """
-    if is_named_pipe(path):
-        raise NotWritten(f"{path}: cannot be written (is a pipe)")
-    if path.exists() and not path.is_file():
-        with _named(path):
-            yield path
-        return
-    target = Path(os.path.realpath(path))  # a link stays one
+    replaced = not follow and path.is_symlink()
+    if not replaced:
+        if is_named_pipe(path):
+            raise NotWritten(f"{path}: cannot be written (is a pipe)")
+        if path.exists() and not path.is_file():
+            with _named(path):
+                yield path
+            return
+    target = Path(os.path.realpath(path)) if follow else path
     # a name that nobody guesses: what stands there, or a link that another user puts there, would be written
     partial = target.with_name(f"{target.stem[:200]}.part{secrets.token_hex(8)}{target.suffix}")
     try:
         with _named(path):
             yield partial
-            if target.exists():
+            if target.exists() and not target.is_symlink():
                 partial.chmod(target.stat().st_mode & 0o777)
             partial.replace(target)
     finally:
@@ -53,7 +56,7 @@ def _named(path: Path) -> Iterator[None]:
         raise NotWritten(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def write_text(path: Path, text: str) -> None:
-    """A text file in UTF-8, whole or not at all; raises :class:`NotWritten`."""
-    with whole_file(path) as partial:
+def write_text(path: Path, text: str, follow: bool = True) -> None:
+    """A text file in UTF-8, as :func:`whole_file` has it; raises :class:`NotWritten`."""
+    with whole_file(path, follow) as partial:
         partial.write_text(text, "utf-8", "backslashreplace")  # names of files may be no text

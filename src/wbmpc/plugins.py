@@ -78,13 +78,13 @@ def mistake_in_use(error: BaseException) -> ProgramError | None:
     if not _IN_USE:
         return None
     calls = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    named = {_home(value): f"{what} of another package ({value})" for what, value in _IN_USE.items()}
+    named = [(_home(value), f"{what} of another package ({value})") for what, value in _IN_USE.items()]
     for file, line in reversed(calls):
-        for home, part in named.items():
-            if home in (file, *file.parents):
-                return ProgramError(f"{part}: {described(error)} ({file}, line {line})")
+        parts = [part for home, part in named if home in (file, *file.parents)]
+        if parts:
+            return ProgramError(f"{', '.join(parts)}: {described(error)} ({file}, line {line})")
     file, line = calls[-1] if calls else (Path(), 0)
-    return ProgramError(f"with {', '.join(named.values())}: {described(error)} ({file}, line {line})")
+    return ProgramError(f"with {', '.join(part for _, part in named)}: {described(error)} ({file}, line {line})")
 
 
 def _home(value: str) -> Path:

@@ -216,7 +216,7 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
             sections.append(f"<h2>{html.escape(name)}</h2><p>No run gave a result. {why}</p>")
             continue
         page = out / name / "index.html"
-        write_text(page, _experiment_page(name, found[name], lost, _clip(jobs, name, out, clips)))
+        write_text(page, _experiment_page(name, found[name], lost, _clip(jobs, name, out, clips)), follow=False)
         outcomes = Counter(_outcome(r) for r in found[name]["runs"].values())
         paper = {
             n: m for n, m in found[name]["metrics"].items() if any(m[k] is not None for k in ("paper", "goal", "least"))
@@ -233,7 +233,7 @@ def write_site(jobs: list[Job], failed: dict[Job, str], out: Path, clips: bool =
     )
     body = f'<h1>Experiments</h1><p class="sub">{about}</p>{_count(found)}{"".join(sections)}{_versions(found)}'
     index = out / "index.html"
-    write_text(index, document("Experiments", body, plots=False))
+    write_text(index, document("Experiments", body, plots=False), follow=False)
     return index
 
 
@@ -281,6 +281,8 @@ def _experiment_page(name: str, entry: dict[str, Any], lost: dict[int, str], cli
 def _clip(jobs: list[Job], name: str, out: Path, target: bool) -> str:
     """The clip of the first finished run, drawn once; or why there is none."""
     path, job = out / name / "clip.mp4", next(j for j in jobs if j.name == name and j.done)
+    if path.is_symlink():  # the name is ours, and what it leads to is not
+        path.unlink()
     if target and not (path.is_file() and path.stat().st_mtime >= job.mark.stat().st_mtime):
         from wbmpc.recording.reader import read_recording
         from wbmpc.view.render import render

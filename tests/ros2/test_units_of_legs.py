@@ -53,12 +53,15 @@ def test_orders_for_legs_and_their_brakes_name_the_unit(name: str, caplog: pytes
     assert legs.short.startswith(f"{first} stopped at {home[0]:.3f} {unit} on its way to {goal:.3f} {unit}")
 
 
-def test_a_fault_of_a_brake_names_the_unit() -> None:
+def test_a_fault_of_a_brake_names_the_unit_and_the_leg_as_the_bus_does() -> None:
     one = robot("telescope-ur10")
-    monitor, home = brake_monitor(one), one.home[one.state["leg"]]
+    first = one.state.groups["leg"][0]
+    settings = SwerveRosSettings(joints={first: "front_left"})
+    monitor, home = brake_monitor(one, settings.bus_name), one.home[one.state["leg"]]
     assert monitor is not None
     for k in range(100):
         monitor.update(SwerveReadings(0.02 * k, home + 0.1 * (k > 70), np.zeros(4), np.zeros(4)))
+    assert str(monitor.faults[0]).startswith("brake of front_left ")
     assert ": the leg moved by 0.100 m (" in str(monitor.faults[0])
 
 

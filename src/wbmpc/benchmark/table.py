@@ -100,6 +100,6 @@ def text(figures: dict[str, Any], width: int = 118, more: Sequence[Table] = (), 
 def write(figures: dict[str, Any], directory: Path, table: str) -> dict[str, str]:
     """:data:`FILES`, the second one with its ``table``: paths by kind."""
     files = {kind: directory / name for kind, name in zip(("json", "table"), FILES, strict=True)}
-    write_text(files["json"], json.dumps(figures, indent=1))
-    write_text(files["table"], table)
+    write_text(files["json"], json.dumps(figures, indent=1), follow=False)
+    write_text(files["table"], table, follow=False)
     return {kind: str(path) for kind, path in files.items()}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from wbmpc.cli.directories import AsJson, Force, new_file
+from wbmpc.cli.directories import AsJson, Force, new_file, reject_links
 from wbmpc.errors import InputError
 
 if TYPE_CHECKING:
@@ -93,6 +93,8 @@ def calibrate(
     target = new_file("--out", out, file.with_name("calibration.yaml"), force)
     calibrator = _calibrator_of(file, robot)
     found = calibrator.find(channels, str(file), zero_std=zero_std, radius_std=radius_std)
+    if out is None:
+        reject_links("--out", [target])  # one that was put there meanwhile
     found.save(target)
     if as_json:
         typer.echo(json.dumps({**found.table(), "file": str(target)}))

@@ -50,11 +50,12 @@ def size_of(option: str, text: str) -> int:
 def new_file(option: str, chosen: Path | None, default: Path, force: bool) -> Path:
     """The file that ``option`` names, or else one beside ``default`` that is not there yet.
 
-    Raises :class:`InputError` if the named one is there and ``force`` is not given, or cannot be written.
+    Raises :class:`InputError` if the named one is there and ``force`` is not given, or cannot be written, and if that beside
+    ``default`` is a link (:func:`reject_links`).
     """
     if chosen is not None and not chosen.parent.is_dir():
         raise InputError(f"{option}: '{chosen}': there is no directory '{chosen.parent}'")
-    path = chosen or (default if force else _free(default))
+    path = chosen or _own(option, default, force)
     reject_existing(option, [path], force)
     _try_to_write(option, path)
     return path
@@ -124,10 +125,17 @@ def _empty_ones_removed(*paths: Path) -> Iterator[None]:
 
 
 def new_directory(option: str, chosen: Path | None, default: Path, force: bool) -> Path:
-    """A directory for files that :func:`reject_existing` then checks; a chosen one is not there yet."""
+    """A directory for files that :func:`reject_existing` then checks: the chosen one, or as :func:`new_file` has it."""
     if chosen is not None and chosen.exists() and not chosen.is_dir():
         raise InputError(f"{option}: '{chosen}' is a file; give a directory")
-    return chosen or (default if force else _free(default))
+    return chosen or _own(option, default, force)
+
+
+def _own(option: str, default: Path, force: bool) -> Path:
+    """A name that the user has not chosen: what is there is replaced with ``force``, but for a link."""
+    path = default if force else _free(default)
+    reject_links(option, [path])
+    return path
 
 
 def reject_existing(option: str, paths: Iterable[Path], force: bool) -> None:
@@ -147,7 +155,7 @@ def reject_links(option: str, paths: Iterable[Path]) -> None:
     for path in paths:
         if path.is_symlink():
             raise InputError(
-                f"{option}: '{path}' is a link: another file would be written; remove it, or give another directory"
+                f"{option}: '{path}' is a link: another file would be written; remove it, or give another name"
             )
 
 

@@ -50,10 +50,13 @@ def collisions(path: str) -> list[Finding]:
     from wbmpc.obstacles.pairs import diagnose
     from wbmpc.robots.findings import Finding
 
+    found: list[Finding] = []
     try:
-        return list(diagnose(load_robot(path)))
+        for finding in diagnose(load_robot(path)):
+            found.append(finding)
     except InputError as error:
-        return [Finding("warning", "collision", "", str(error))]
+        found.append(Finding("warning", "collision", "", str(error)))
+    return found
 
 
 def doctor(

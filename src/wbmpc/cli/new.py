@@ -75,7 +75,7 @@ def new(
     data, home = description_of(draft, path, packages, arguments, height)
     for key, value in keys.items():
         _assign(data, key, value)
-    robot = _write(path, data, draft, home)
+    robot = _write(path, data, draft, home, follow=out is not None)
     if as_json:
         typer.echo(json.dumps({"robot": str(path), "description": data}))
     else:
@@ -186,15 +186,15 @@ def _assign(data: dict[str, Any], key: str, value: Any) -> None:
 
 
 # ---------------------------------------------------------------------- writing
-def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home) -> RobotModel:
-    """Write the YAML if the robot loads with it; then its weights are known too."""
+def _write(path: Path, data: dict[str, Any], draft: Draft, home: Home, follow: bool) -> RobotModel:
+    """Write the YAML if the robot loads with it; then its weights are known too. ``follow``: as of :func:`whole_file`."""
     from wbmpc.model.robot import load_robot
     from wbmpc.output_file import whole_file
     from wbmpc.robots.description import load_description
     from wbmpc.robots.robot_yaml import write_yaml
 
     comments = _comments(draft, home)
-    with whole_file(path) as partial:  # what was there before stays until the robot loads
+    with whole_file(path, follow) as partial:  # what was there before stays until the robot loads
         try:
             partial.write_text(write_yaml(data, comments), encoding="utf-8")
             robot = load_robot(partial)

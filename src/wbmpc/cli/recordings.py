@@ -92,7 +92,7 @@ def plot(
     recording = read_recording(file)
     path = new_file("--out", out, recording.path.with_name("plots.html"), force)
     plots = of_topics(recording, topics) if topics else overview(recording)
-    write_text(path, plots_page(recording.title, str(recording.path), plots))
+    write_text(path, plots_page(recording.title, str(recording.path), plots), follow=out is not None)
     typer.echo(json.dumps({"page": str(path)}) if as_json else f"the plots are in {path}")
 
 
@@ -145,7 +145,7 @@ def layout(
 
     recording = read_recording(file)
     path = new_file("--out", out, recording.path.with_name("foxglove.json"), force)
-    write_text(path, json.dumps(made(recording), indent=1) + "\n")
+    write_text(path, json.dumps(made(recording), indent=1) + "\n", follow=out is not None)
     typer.echo(json.dumps({"layout": str(path)}) if as_json else f"the layout is {path}: import it in Foxglove")
 
 
@@ -172,7 +172,7 @@ def compare(
     )
     from wbmpc.report import plots_page
 
-    out = new_file("--out", out, Path("compare.html"), force)
+    target = new_file("--out", out, Path("compare.html"), force)
     runs = load_all(paths)
     figures = [run.figures for run in runs]
     rows, changed = table(figures), differences(figures)
@@ -188,18 +188,18 @@ def compare(
     plots = overlay(runs, names)
     before = f"<h2>Figures</h2>{figures_table(rows, names, outcomes(figures))}" if rows else ""
     before += "" if experiments(figures) else settings_table(changed, names)
-    write_text(out, plots_page(title, about, plots, before))
+    write_text(target, plots_page(title, about, plots, before), follow=out is not None)
     if as_json:
         output = {"runs": [str(path) for path in paths], "outcomes": outcomes(figures), "metrics": rows}
         output |= {"settings": changed, "notes": notes}
-        typer.echo(json.dumps({**output, "page": str(out)}))
+        typer.echo(json.dumps({**output, "page": str(target)}))
         return
     if rows:
         _compare_table(rows, names, outcomes(figures))
     _print_differences(figures, changed)
     for note in notes:
         typer.echo(printable(note))
-    typer.echo(f"the signals are in {out}" if plots else f"the runs share no signals; {out} is without plots")
+    typer.echo(f"the signals are in {target}" if plots else f"the runs share no signals; {target} is without plots")
 
 
 def _print_differences(figures: list[dict[str, Any]], changed: dict[str, list[Any]]) -> None:

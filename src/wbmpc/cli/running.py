@@ -59,7 +59,7 @@ def write_weights(factors: Mapping[str, float], before: Mapping[str, float], dir
 
     path = directory / WEIGHTS
     text = "Factors of the costs' weights as the sliders were left: wbmpc run NAME --config weights.yaml"
-    write_text(path, write_yaml({"weights": {**before, **factors}}, {"": text}))
+    write_text(path, write_yaml({"weights": {**before, **factors}}, {"": text}), follow=False)
     return {"weights": str(path)}
 
 

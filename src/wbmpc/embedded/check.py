@@ -55,8 +55,14 @@ def check(done: Export, mpc: MPC, updates: int = 50) -> Check:
     """
     build, run = tools(done.target)
     observations, expected = record(mpc, updates)
-    write_text(done.directory / "observations.txt", "".join(f"{hexadecimal(row)}\n" for row in observations))
-    write_text(done.directory / "expected.txt", "".join(f"{int(row[0])} {hexadecimal(row[1:])}\n" for row in expected))
+    write_text(
+        done.directory / "observations.txt", "".join(f"{hexadecimal(row)}\n" for row in observations), follow=False
+    )
+    write_text(
+        done.directory / "expected.txt",
+        "".join(f"{int(row[0])} {hexadecimal(row[1:])}\n" for row in expected),
+        follow=False,
+    )
     printed = _run_example(done, build, run).splitlines()
     found = np.array([[float(a), *map(float.fromhex, b)] for a, *b in (line.split() for line in printed)])
     if found.shape != expected.shape or (found[:, 0] != expected[:, 0]).any():

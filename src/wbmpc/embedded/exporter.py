@@ -124,7 +124,7 @@ def export(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"export: '{folder}' cannot be made ({error.strerror})") from error
-    with whole_file(folder / f"{prefix}.o") as path:
+    with whole_file(folder / f"{prefix}.o", follow=False) as path:
         path.write_bytes(code)
     done = Export(folder, prefix, target, len(code), found, image, stack_needed(code))
     write_texts(done, mpc, chosen)

@@ -43,10 +43,10 @@ FIGURES = {
 
 def write_texts(done: Export, mpc: MPC, target: Target) -> None:
     """Header, example, CMake file and README into the export's directory; raises :class:`NotWritten`."""
-    write_text(done.directory / f"{done.prefix}.h", header(done, mpc, target))
-    write_text(done.directory / "example.c", _example(done))
-    write_text(done.directory / "CMakeLists.txt", _cmake(done))
-    write_text(done.directory / "README.md", _readme(done, target))
+    write_text(done.directory / f"{done.prefix}.h", header(done, mpc, target), follow=False)
+    write_text(done.directory / "example.c", _example(done), follow=False)
+    write_text(done.directory / "CMakeLists.txt", _cmake(done), follow=False)
+    write_text(done.directory / "README.md", _readme(done, target), follow=False)
 
 
 def _names(

@@ -167,10 +167,18 @@ _LOCK = threading.RLock()  # a signal's handler may come in the middle
 
 def robot_geometry(robot: RobotModel) -> RobotGeometry:
     """The shapes of a robot, read once. Raises :class:`InputError` for a robot without any."""
+    if not has_shapes(robot):
+        where = f"{robot.description.source}: key 'collision.shapes'"
+        raise InputError(f"{where}: {robot.description.model} has no shapes; give them by hand")
+    return _GEOMETRIES[robot]
+
+
+def has_shapes(robot: RobotModel) -> bool:
+    """Whether a robot has any, by its file or its model. Raises :class:`InputError` where they cannot be read."""
     with _LOCK:
         if robot not in _GEOMETRIES:
             _GEOMETRIES[robot] = RobotGeometry(robot, _read(robot))
-        return _GEOMETRIES[robot]
+        return bool(_GEOMETRIES[robot].shapes)
 
 
 def _read(robot: RobotModel) -> list[RobotShape]:
@@ -182,14 +190,8 @@ def _read(robot: RobotModel) -> list[RobotShape]:
             raise InputError(
                 f"{description.source}: key 'collision.shapes': frame '{missing[0]}' is no part of the robot's base or arm"
             )
-        found = [RobotShape(s.frame, _by_hand(s)) for s in given]
-    else:
-        found = _of_model(robot)
-    if not found:
-        raise InputError(
-            f"{description.source}: key 'collision.shapes': {description.model} has no shapes; give them by hand"
-        )
-    return found
+        return [RobotShape(s.frame, _by_hand(s)) for s in given]
+    return _of_model(robot)
 
 
 def _by_hand(shape: ShapeDescription) -> Solid:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -244,9 +245,19 @@ def arm_pairs(robot: RobotModel) -> tuple[Pair, ...]:
     return tuple((a, b) for a, b in self_pairs(robot) if still(a) and still(b))
 
 
-def unlisted(robot: RobotModel, seed: int = 1) -> tuple[int, dict[Pair, int]]:
-    """Pairs that :func:`self_pairs` does not have and that touch in random states in which all that it has keep their margins, with how many
-    of them; and how many states were drawn. Not those that the robot file ignores or that touch at home or in most states."""
+class Unlisted(NamedTuple):
+    """Of ``drawn`` states, the first of which is home, ``counted`` are those beside home in which all listed pairs keep their margins;
+    ``never``: listed ones that do in none; ``pairs``: that are not listed and touch in states that count, with how many of them."""
+
+    drawn: int
+    counted: int
+    never: tuple[Pair, ...]
+    pairs: dict[Pair, int]
+
+
+def unlisted(robot: RobotModel, seed: int = 1) -> Unlisted:
+    """Pairs that touch and that :func:`self_pairs` does not have. Not those that the robot file ignores or that touch at home or in most
+    states."""
     geometry, own = robot_geometry(robot), robot.description.collision.self
     key = lambda pair: frozenset(rigid_link(robot, frame) for frame in pair)
     listed = list(self_pairs(robot))
@@ -255,11 +266,13 @@ def unlisted(robot: RobotModel, seed: int = 1) -> tuple[int, dict[Pair, int]]:
     count = min(LOOKED_AT, max(LOOKED_AT_BOUNDS // len(geometry.shapes) ** 2, 2))
     reach = max((1.0 + HOME_SHARE) * own.margin, TOUCHING)
     apart = distances(geometry, listed + others, draw_states(robot, count, seed), reach)
-    kept = np.array((apart >= _kept(apart[0], own.margin))[:, : len(listed)].all(axis=1))
+    keeps = (apart >= _kept(apart[0], own.margin))[:, : len(listed)]
+    kept, never = np.array(keeps.all(axis=1)), ~keeps[1:].any(axis=0) & (len(apart) > 1)
     touching = np.asarray(apart[:, len(listed) :] < TOUCHING)
     drawn = touching[0] | (touching.mean(axis=0) >= OFTEN)
     often = (touching & kept[:, None] & ~drawn).sum(axis=0)
-    return len(apart), {others[i]: int(often[i]) for i in np.argsort(-often, kind="stable") if often[i]}
+    pairs = {others[i]: int(often[i]) for i in np.argsort(-often, kind="stable") if often[i]}
+    return Unlisted(len(apart), int(kept[1:].sum()), tuple(listed[i] for i in np.flatnonzero(never)), pairs)
 
 
 def diagnose(robot: RobotModel) -> Iterator[Finding]:
@@ -288,15 +301,24 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
 
 
 def _missing(robot: RobotModel) -> Iterator[Finding]:
-    """A warning where parts touch that no pair of the robot file keeps apart."""
-    samples, found = unlisted(robot)
+    """Warnings where parts touch that no pair of the robot file keeps apart, and where that cannot be said."""
+    looked = unlisted(robot)
+    found = looked.pairs
+    if not looked.counted:
+        never = ", ".join(f"[{a}, {b}]" for a, b in looked.never)
+        yield Finding(
+            "warning", "collision", "key 'collision.self.pairs'",
+            f"not known whether parts touch that no pair keeps apart: in none of {looked.drawn - 1} random states all pairs keep their margin"
+            + (f"; these never do: {never}" if never else ""),
+            "remove pairs that nothing can keep apart, or lower 'collision.self.margin'" if never else "",
+        )  # fmt: skip
     if found:
         often = ", ".join(f"[{a}, {b}] in {n}" for (a, b), n in list(found.items())[:NAMED])
         more = f" and {len(found) - NAMED} others" if len(found) > NAMED else ""
         pairs = ", ".join(f"[{a}, {b}]" for a, b in found)
         yield Finding(
             "warning", "collision", "key 'collision.self.pairs'",
-            f"parts touch that no pair keeps apart, of {samples} random states {often}{more}",
+            f"parts touch that no pair keeps apart, of {looked.counted} random states in which those of the file are apart {often}{more}",
             f"add them to 'collision.self.pairs', or to 'collision.self.ignore' where only their shapes touch: [{pairs}]",
         )  # fmt: skip
 

@@ -45,7 +45,7 @@ def file_name(topic: str) -> str:
 
 def _csv(tables: dict[str, Table], paths: list[Path]) -> None:
     for path, table in zip(paths, tables.values(), strict=True):
-        with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        with whole_file(path, follow=False) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(["time", *table.columns])
             # tolist() gives Python's numbers, whose text has all their digits
@@ -58,7 +58,7 @@ def _npz(tables: dict[str, Table], paths: list[Path]) -> None:
     for name, table in tables.items():
         arrays[f"{file_name(name)}/time"] = table.times
         arrays |= {f"{file_name(name)}/{column}": values for column, values in table.columns.items()}
-    with whole_file(paths[0]) as partial:
+    with whole_file(paths[0], follow=False) as partial:
         np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
 
 
@@ -78,7 +78,7 @@ def _parquet(tables: dict[str, Table], paths: list[Path]) -> None:
     import pyarrow.parquet
 
     for path, table in zip(paths, tables.values(), strict=True):
-        with whole_file(path) as partial:
+        with whole_file(path, follow=False) as partial:
             pyarrow.parquet.write_table(pyarrow.table({"time": table.times, **table.columns}), partial)
 
 

@@ -52,7 +52,9 @@ class McapFile:
         self._open()
 
     def _open(self) -> None:
-        self._file = self.path.open("wb")
+        """An error where a link is: its name is the run's, and nobody has chosen what it leads to."""
+        no_link = lambda path, flags: os.open(path, flags | os.O_NOFOLLOW, 0o666)
+        self._file = open(self.path, "wb", opener=no_link)  # noqa: SIM115 - until it is closed
         self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library=f"wbmpc {__version__}")
         self._size = 0  # of the file, as of its last chunk

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wbmpc.errors import NotWritten
+from wbmpc.log import write_log
 from wbmpc.output_file import write_text
 from wbmpc.report.provenance import versions
 from wbmpc.report.run_page import page, plain
@@ -80,9 +81,9 @@ def write_run(result: RunResult, directory: Path) -> dict[str, str]:
     text = json.dumps({**to_json(result, files), **more}, indent=2, allow_nan=False) + "\n"
     try:
         _make(directory)
-        result.log.save(Path(files["log"]))
-        write_text(Path(files["report"]), page(result))
-        write_text(Path(files["metrics"]), text)
+        write_log(result.log, Path(files["log"]), follow=False)
+        write_text(Path(files["report"]), page(result), follow=False)
+        write_text(Path(files["metrics"]), text, follow=False)
     except NotWritten as error:
         raise NotWritten(f"{error}; {_elsewhere(result, text)}") from error
     return files

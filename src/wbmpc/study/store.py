@@ -161,7 +161,7 @@ class Store:
         parts = self.folder / PARTS
         parts.mkdir(exist_ok=True)
         number = 1 + max((int(p.stem) for p in parts.glob("[0-9]*.parquet") if p.stem.isdigit()), default=0)
-        with whole_file(parts / f"{number:06d}.parquet") as partial:
+        with whole_file(parts / f"{number:06d}.parquet", follow=False) as partial:
             parquet().write_table(table_of(rows), partial)
         self._close()
         self._journal.unlink()  # killed before this line: its rows are there twice, and the later one counts
@@ -195,7 +195,7 @@ class Store:
         if files == [target]:
             return target
         latest = {row: path for path in files for row in _read(path, ["key"])["key"].to_pylist()}
-        with whole_file(target) as partial:
+        with whole_file(target, follow=False) as partial:
             _merge(files, latest, partial)
         for path in files:
             if path != target:

@@ -150,9 +150,15 @@ class Study:
         assert tune is not None
         if tuned.settings:
             about = f"{title}: the best of {len(tuned.trials)} trials on seeds {', '.join(map(str, tune.seeds))}"
-            write_text(self.out / BEST, write_yaml(nested(self._shared(tuned.settings) | tuned.settings), {"": about}))
-        write_text(self.out / TRIALS, json.dumps(tuned.trials, indent=1) + "\n")
-        write_text(self.out / PAGE, tune_page(title, tune, tuned.trials, tuned.front, tuned.report is not None))
+            write_text(
+                self.out / BEST,
+                write_yaml(nested(self._shared(tuned.settings) | tuned.settings), {"": about}),
+                follow=False,
+            )
+        write_text(self.out / TRIALS, json.dumps(tuned.trials, indent=1) + "\n", follow=False)
+        write_text(
+            self.out / PAGE, tune_page(title, tune, tuned.trials, tuned.front, tuned.report is not None), follow=False
+        )
 
     def _shared(self, found: Mapping[str, Any]) -> dict[str, Any]:
         """What all experiments of the search were set to beside it: settings that are ``found`` may mean nothing without."""
@@ -185,8 +191,8 @@ class Study:
             d.title, self.combinations, self.table(), self.planned, d.metrics, d.compare_with, d.larger_is_better
         )
         definitions = {c.experiment: open_experiment(c.source).definitions for c in self.combinations}
-        write_text(self.out / STATISTICS, json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n")
-        write_text(self.out / PAGE, study_page(found, self.out, definitions))
+        write_text(self.out / STATISTICS, json.dumps(found.to_json(), indent=1, allow_nan=False) + "\n", follow=False)
+        write_text(self.out / PAGE, study_page(found, self.out, definitions), follow=False)
         return found
 
 
@@ -281,7 +287,11 @@ def remember(out: Path, title: str, found: list[Combination], planned: int) -> N
         c.key: {"experiment": c.experiment, "condition": c.condition, "label": c.label, "settings": c.settings}
         for c in found
     }
-    write_text(out / ABOUT, json.dumps({"title": title, "planned": planned, "combinations": about}, indent=1) + "\n")
+    write_text(
+        out / ABOUT,
+        json.dumps({"title": title, "planned": planned, "combinations": about}, indent=1) + "\n",
+        follow=False,
+    )
 
 
 def reject_others(out: Path, found: list[Combination], known: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.floor import floor_boxes, heights
+from wbmpc.obstacles.geometry import has_shapes
 from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.ocp import Reference
 from wbmpc.ocp.clearance_residuals import SelfClearance
@@ -74,11 +75,9 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
 
 
 def own_rows(robot: RobotModel) -> SelfRows | None:
-    """Distances of the robot's pairs; None of one that has none, as without shapes."""
-    try:
-        return SelfRows(SelfClearance(robot)) if self_pairs(robot) else None
-    except InputError:  # without shapes, or with meshes that are missing
-        return None
+    """Distances of the robot's pairs; None of one that has none, as without shapes. Raises :class:`InputError` for shapes that cannot be
+    read, or are too many to find pairs."""
+    return SelfRows(SelfClearance(robot)) if has_shapes(robot) and self_pairs(robot) else None
 
 
 def build(settings: GoalsSettings, seed: int) -> Scenario:

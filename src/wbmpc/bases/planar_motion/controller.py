@@ -225,15 +225,16 @@ class PlanarController:
     def _limited(self, sent: Array, u: Array) -> tuple[Array, bool]:
         """The way from the last command ``sent`` (nu) towards u (nu) as far as accelerations allow within a period, all drives by
         the same share, and with the base's speeds scaled so that every wheel keeps its limit. Wheels that are limited one by one drag
-        each other. Also whether they were scaled. What u has beyond the wheels' limits is no way to go: it would slow the arm down for
-        as long as it is asked for."""
+        each other. Also whether they were scaled: not on the way to their limits. What u has beyond these is no way to go: it would
+        slow the arm down for as long as it is asked for."""
         base, part, rates = planar_base(self.robot), self._moving, self.wheel_matrix()
         u, too_fast = self._within_wheels(u, rates)
         step = u - sent
         steps = np.abs(np.concatenate([rates @ step[part], step]))
         maximum = np.concatenate([base.wheel_acceleration, self.robot.limits.input_rate]) * self.period
-        reached, scaled = self._within_wheels(sent + step / max(1.0, float(np.max(steps / maximum))), rates)
-        return reached, too_fast or scaled
+        share = max(1.0, float(np.max(steps / maximum)))
+        reached, scaled = self._within_wheels(sent + step / share, rates)
+        return reached, scaled or (too_fast and share == 1.0)
 
     def _within_wheels(self, u: Array, rates: Array) -> tuple[Array, bool]:
         """An input (nu) with the base's speeds scaled so that every wheel keeps its limit; whether they had to be."""

@@ -32,7 +32,7 @@ NOTICE = 0.3
 #: By so much [s] a brake that waits closes later each time.
 POSTPONEMENT = 0.2
 #: Length [m] that turns a yaw rate into a speed.
-_LEVER = 0.5
+_YAW_LENGTH = 0.5
 #: Rate [rad/s] of legs whose speed has no limit.
 _AT_ONCE = 1e3
 
@@ -54,9 +54,9 @@ def floating(geometry: ModuleGeometry, leg: ArrayLike, brake: ArrayLike) -> tupl
         at, held = axis, [(1.0, 0.0), (0.0, 1.0)]
         if is_open > 0.5:
             at, held = (axis, [(-np.sin(a), np.cos(a))]) if slides else (hinge, [(np.cos(a), np.sin(a))])
-        rows += [[x, y, (at[0] * y - at[1] * x) / _LEVER] for x, y in held]
+        rows += [[x, y, (at[0] * y - at[1] * x) / _YAW_LENGTH] for x, y in held]
     _, values, motions = np.linalg.svd(np.array(rows))
-    motion = motions[-1] / [1.0, 1.0, _LEVER]
+    motion = motions[-1] / [1.0, 1.0, _YAW_LENGTH]
     return float(values[-1]), motion * np.sign(motion[np.argmax(np.abs(motion))])
 
 

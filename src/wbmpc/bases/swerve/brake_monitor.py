@@ -23,7 +23,7 @@ from wbmpc.kernel.ir import Floats
 from wbmpc.kernel.step import bind, zeros
 
 #: A leg that slides by this [m] counts as one that turns by 1 rad: its foot goes as far as that of a hinged leg of the usual length.
-LEVER = 0.4
+METERS_PER_RADIAN = 0.4
 #: Motion [rad] of a leg that is held which is a fault, less what is no faster than this [rad/s]; motion [rad] that is none: a few counts.
 MOVED, CREEP, STILL = 0.01, 2e-4, 0.0015
 #: Time constant [s] of planned motion; time [s] after a command in which nothing is judged; planned rates [rad/s] that do not count.
@@ -125,9 +125,9 @@ class BrakeFault:
         return f"brake of {self.name} {self.kind}: the leg {seen} {self.angle:.3f} {self.unit} ({self.time:.2f} s)"
 
 
-def of_a_radian(units: Sequence[str]) -> Array:
-    """How far each leg moves, in its unit, where one that turns moves by 1 rad: 1, or :data:`LEVER`."""
-    return np.array([LEVER if unit == "m" else 1.0 for unit in units])
+def per_radian(units: Sequence[str]) -> Array:
+    """How far each leg moves, in its unit, where one that turns moves by 1 rad: 1, or :data:`METERS_PER_RADIAN`."""
+    return np.array([METERS_PER_RADIAN if unit == "m" else 1.0 for unit in units])
 
 
 class BrakeMonitor:
@@ -143,7 +143,7 @@ class BrakeMonitor:
     judged again, from the beginning, once the plan has held it as long. ``faults``: all that were reported; ``withdrawn``:
     those that were taken back, of legs that were said not to open and then moved by as much, or not to hold and then stood as
     one does that is not open; ``real``: those of ``faults`` that were not wrong (a brake that holds again did slip). ``units``:
-    of each leg, by default "rad"; for those that slide ("m") all these are lengths, :data:`LEVER` for a radian.
+    of each leg, by default "rad"; for those that slide ("m") all these are lengths, :data:`METERS_PER_RADIAN` for a radian.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class BrakeMonitor:
     ) -> None:  # fmt: skip
         positive("brake monitor", expected=expected, patience=patience)
         self.names, self.patience, self._units = list(names), patience, list(units) or ["rad"] * len(names)
-        self._radian = of_a_radian(self._units)
+        self._radian = per_radian(self._units)
         maximum = _positive_rates(limit, len(names)) / self._radian
         self.crawl = np.minimum(CRAWL, CRAWL_SHARE * maximum)
         self.expected = expected * np.minimum(1.0, (maximum - self.crawl) / (FAST - CRAWL))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BrakeControl
-from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings, of_a_radian
+from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor, SwerveReadings, per_radian
 from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.checks import finite, numbers
 from wbmpc.control.monitor import Fault, Monitor
@@ -60,7 +60,7 @@ class LegGuard:
 
     def __init__(self, n: int, units: Sequence[str] = ()) -> None:
         self.holds = np.zeros(n, int)
-        self._away = AWAY * of_a_radian(units or ["rad"] * n)
+        self._away = AWAY * per_radian(units or ["rad"] * n)
         self.restart()
 
     def restart(self) -> None:
@@ -154,12 +154,12 @@ class SupervisionSettings:
     hold: Callable[[Array], None] | None = None
 
 
-def brake_monitor(robot: RobotModel) -> BrakeMonitor | None:
-    """Of the brakes of a robot's legs, with the usual tolerances; None for fixed legs."""
+def brake_monitor(robot: RobotModel, name: Callable[[str], str] = str) -> BrakeMonitor | None:
+    """Of the brakes of a robot's legs, with the usual tolerances; None for fixed legs. ``name``: what faults call a leg's joint."""
     if "leg" not in robot.input:
         return None
     layout, limit = robot.state, robot.limits.input_upper[robot.input["leg"]]
-    return BrakeMonitor(layout.groups["leg"], limit=limit, units=layout.unit_groups["leg"])
+    return BrakeMonitor([name(leg) for leg in layout.groups["leg"]], limit=limit, units=layout.unit_groups["leg"])
 
 
 class BrakeSupervision:

@@ -34,7 +34,7 @@ REFRESH_PERIOD = 0.2
 SHARES = np.linspace(0.0, 1.0, 13)
 #: Ways aside [m] and turns [rad] of the base that are tried, to the left and to the right; length [m] by which a turn counts as a way. Of those
 #: that are clear the shortest is taken.
-ASIDE, TURNS, LEVER = 0.03 * np.arange(-8, 9), 0.04 * np.arange(-3, 4), 0.5
+ASIDE, TURNS, YAW_LENGTH = 0.03 * np.arange(-8, 9), 0.04 * np.arange(-3, 4), 0.5
 #: What is asked for beyond the margin [m].
 GAP = 0.02
 #: Distances [m] beyond this count as this.
@@ -187,7 +187,7 @@ class LegFolding:
         if not narrow.size:
             return off, np.ones(len(times), bool)
         tried = np.stack(np.meshgrid(ASIDE, TURNS), axis=-1).reshape(-1, 2)
-        tried = tried[np.argsort(np.abs(tried) @ [1.0, LEVER], kind="stable")]
+        tried = tried[np.argsort(np.abs(tried) @ [1.0, YAW_LENGTH], kind="stable")]
         at, count = np.repeat(narrow, len(tried)), len(tried)
         moved = self._moved(states[at], np.tile(tried, (len(narrow), 1)))
         found = self._distances(snapshot, times[at], moved, [self._body])[:, 0].reshape(-1, count)

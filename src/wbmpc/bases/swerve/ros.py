@@ -215,17 +215,10 @@ class SwerveRosAdapter(BaseAdapter):
         gyro = s.use_gyro and self._has_imu
         controller = BusSwerveController(
             self.robot, pose, self.period, self.brakes, tracking=TrackingSettings(lag=s.actuator_time_constant),
-            estimation=EstimatorSettings(use_gyro=gyro), monitor=self._new_monitor(), guard=s.leg_guard,
+            estimation=EstimatorSettings(use_gyro=gyro), monitor=brake_monitor(self.robot, s.bus_name), guard=s.leg_guard,
         )  # fmt: skip
         controller.estimator.fix = self.fix
         return controller
-
-    def _new_monitor(self) -> BrakeMonitor | None:
-        if self.brakes is None:
-            return None
-        names = [self.settings.bus_name(n) for n in self.brakes.legs]
-        limit, units = self.robot.limits.input_upper[self.robot.input["leg"]], self.robot.state.unit_groups["leg"]
-        return BrakeMonitor(names, limit=limit, units=units)
 
     def _preview(self, times: Array, pose: Array) -> Array:
         assert self._twists is not None

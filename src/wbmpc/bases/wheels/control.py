@@ -22,7 +22,7 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 STEERING_GAIN = 10.0
 #: How far [rad] planned steering angles are from measured ones at most: steering that is held back, as by tires that slide, is where plans
 #: go on from, which drive where it points. Beyond that wheels would push against each other for as long as the plan goes on.
-FARTHEST = 0.3
+MAX_STEER_LEAD = 0.3
 #: Standard deviation [rad] of a wheel's slip over each radian that it turns.
 SLIP = 0.01
 
@@ -145,5 +145,5 @@ class WheelsController(PlanarController):
         self._turning = self._turning + self._blend * (sent[self._steer] - self._turning)
         if self.measured is not None and self.measured.steer.size == self.planned.size:
             there = self.measured.steer + self.lag * self._turning
-            self.planned = np.clip(self.planned, there - FARTHEST, there + FARTHEST)
+            self.planned = np.clip(self.planned, there - MAX_STEER_LEAD, there + MAX_STEER_LEAD)
         self._rates[self._steer] = self._changes[self._steer] = 0.0  # planned angles do not lag

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.bases.swerve.brake_monitor import BrakeFault, BrakeMonitor
-from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
+from wbmpc.bases.swerve.brake_supervision import SupervisionSettings, brake_monitor
 from wbmpc.bases.swerve.brakes import BRAKE_TORQUE
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
@@ -217,7 +217,8 @@ def fault(bench: Bench, kind: str | None, progress: Progress | None) -> Found:
 
     plant = bench.plant("X")
     period = bench.period
-    monitor = BrakeMonitor(robot.state.groups["leg"], limit=robot.limits.input_upper[robot.input["leg"]])
+    monitor = brake_monitor(robot)
+    assert monitor is not None  # of a robot whose legs have brakes
     brakes = lambda t: np.full(home.size, float(OPENS < t < SWING_PERIOD))
     controller = RollingController(
         robot, np.zeros(3), period, goals, brakes=brakes, supervision=SupervisionSettings(monitor=monitor)

@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from wbmpc.bases.swerve.brake_monitor import BrakeMonitor, SwerveReadings
+from wbmpc.bases.swerve.brake_monitor import SwerveReadings
+from wbmpc.bases.swerve.brake_supervision import brake_monitor
 from wbmpc.bases.swerve.configurations import CONFIGURATIONS, corners
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
@@ -107,7 +108,8 @@ def _simulate(
     plant = SwervePlant(robot.description, robot.state.split(start.x), settings.plant, seed, edit=block)
     modules, key = swerve_base(robot).geometry.modules, case.key
     steps = round(1.0 / RATE / plant.timestep)
-    monitor, still = BrakeMonitor(robot.state.groups["leg"]), np.zeros(modules)
+    monitor, still = brake_monitor(robot), np.zeros(modules)
+    assert monitor is not None  # of a robot whose legs have brakes
     with watched(plant, 1.0 / RATE, case.end, progress) as tick:
         for k in range(round(case.end * RATE)):
             t = k / RATE
