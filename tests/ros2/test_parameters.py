@@ -222,6 +222,23 @@ def test_no_line_stops_who_logs_it_and_names_that_are_no_text_are_readable(pair:
     assert said == ["%s slips (its text cannot be made)", "%d (its text cannot be made)", "scene caf\\udce9"]
 
 
+def test_records_that_no_message_can_hold_are_sent_as_the_nearest_one(pair: Callable[..., Any]) -> None:
+    """Of other libraries' loggers. Truth: the fields' ranges in rcl_interfaces/msg/Log, and XCDR, whose texts have no NUL."""
+    others = rosout_handlers()
+    p = pair()
+    p.ready()
+    lines: list[Any] = []
+    p.standin.node.subscribe("/rosout", "rcl_interfaces/msg/Log", lines.append, Qos(latched=True, depth=100))
+    (handler,) = rosout_handlers() - others
+    for k, (level, line, function) in enumerate(((-5, -1, "a\0b"), (10**9, 2**40, "f\udce9"), (30.5, 7, None))):
+        handler.handle(logging.LogRecord("wbmpc", level, "x.py", line, f"odd\0{k}", (), None, function))  # type: ignore[arg-type]
+    p.run(0.1)
+    assert wait_until(lambda: any(m.msg == "odd\\x002" for m in lines))
+    assert [(m.msg, m.level, m.line, m.function) for m in lines if m.msg.startswith("odd")] == [
+        ("odd\\x000", 10, 0, "a\\x00b"), ("odd\\x001", 50, 2**32 - 1, "f\\udce9"), ("odd\\x002", 30, 7, ""),
+    ]  # fmt: skip
+
+
 def test_a_controller_that_cannot_be_made_leaves_no_handler_of_log_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was logged until then is on /rosout, and Python's own shutdown of logging finds nothing to send."""
     node, listener = open_node("wbmpc", "dds", NETWORK), open_node("listener", "dds", NETWORK)

@@ -15,11 +15,13 @@ from wbmpc.ros2.convert import stamp
 _QOS = Qos(latched=True, depth=100)
 #: Lines that wait to be sent; of more the oldest are dropped.
 _MAXIMUM = 100
+#: The greatest number of a line that a message can hold.
+_LAST_LINE = 2**32 - 1
 
 
 def _text(words: str) -> str:
-    """As UTF-8 has it: names of files may be none."""
-    return words.encode("utf-8", "backslashreplace").decode()
+    """As UTF-8 has it, for names of files may be none, and without NUL, where texts in C end."""
+    return words.encode("utf-8", "backslashreplace").decode().replace("\0", "\\x00")
 
 
 class Rosout(logging.Handler):
@@ -42,9 +44,9 @@ class Rosout(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a record until it is sent."""
         self._waiting.append({
-            "stamp": stamp(self._now()), "level": min(record.levelno // 10 * 10, 50) or 10, "name": self._node_name,
-            "msg": _text(message_of(record)), "file": _text(record.pathname), "function": record.funcName or "",
-            "line": record.lineno,
+            "stamp": stamp(self._now()), "level": int(min(max(record.levelno // 10, 1), 5)) * 10, "name": self._node_name,
+            "msg": _text(message_of(record)), "file": _text(record.pathname), "function": _text(record.funcName or ""),
+            "line": min(max(record.lineno or 0, 0), _LAST_LINE),
         })  # fmt: skip
 
     def send(self) -> None:
