@@ -220,6 +220,38 @@ def test_a_session_ends_with_the_process_of_its_page(
     assert "the process that shows the view has ended" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("by", "says"),
+    [
+        (signal.SIGKILL, "the process of the physics has ended with exit code -9"),
+        (signal.SIGSTOP, "the limit is 2 s: the machine is too busy, or its process was held up"),
+    ],
+)
+def test_a_session_without_its_physics_says_so_and_leaves_no_process(
+    by: signal.Signals, says: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Measurements that grow old were all that was said, and a command whose physics was held up did not end. Truth: the system."""
+    worlds, make, end = [], session.runner_of, physics.Simulated.close
+
+    def without(*arguments: Any) -> Any:
+        runner, world = make(*arguments)
+        worlds.append(world)
+        threading.Timer(1.5, os.kill, (world.process.pid, by)).start()
+        return runner, world
+
+    def close(world: Any) -> None:
+        end(world)
+        seen.append(world.process.is_alive())
+        world.process.kill()
+
+    seen: list[bool] = []
+    monkeypatch.setattr(session, "runner_of", without)
+    monkeypatch.setattr(physics.Simulated, "close", close)
+    assert main(["view", "panda", "--realtime", "--port", str(free_port())]) == 1
+    assert says in capsys.readouterr().err
+    assert seen == [False]
+
+
 def test_a_robot_that_falls_after_its_stop_begins_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A push from the page that is too much switches the motors off before the robot has fallen, which ended the command."""
     view: Any = SimpleNamespace(wants_reset=False, stopped=False, robot=load_robot("rezero"))
@@ -228,7 +260,7 @@ def test_a_robot_that_falls_after_its_stop_begins_again(monkeypatch: pytest.Monk
     def runner_of(*_: object) -> tuple[object, Any]:
         world = physics.Simulated.__new__(physics.Simulated)
         world.board = Board(physics.NUMBERS)
-        world.process = SimpleNamespace(is_alive=lambda: True, join=lambda _: None)
+        world.process = SimpleNamespace(is_alive=lambda: True, join=lambda _: None, kill=lambda: None)
         worlds.append(world)
         return None, world
 

@@ -52,13 +52,16 @@ class Simulated:
     """The runner's side of it. ``make`` makes the plant, in the other process; the robot stands until the first command.
 
     ``stop``: the command of a safe stop; ``core``: where the process runs (None: anywhere), ``fifo``: before all
-    other processes; ``seen``: where it shows what acts on it (:data:`SEEN`; None: in a mailbox of its own). Times are the clock's.
+    other processes; ``seen``: where it shows what acts on it (:data:`SEEN`; None: in a mailbox of its own); ``patience`` [s]: a process
+    that sends nothing for longer is one that is held up. Times are the clock's.
     """
 
     def __init__(
         self, make: Callable[[], Any], measurement: Any, stop: Any, clock: WallClock, core: int | None,
         fifo: bool = False, record: int = 20_000, seen: Mailbox | None = None,
+        patience: float = np.inf,
     ) -> None:  # fmt: skip
+        self.patience = patience
         self.clock, self._stop, self._kind = clock, stop, type(measurement)
         self.measurements, self.commands = Mailbox.shared(shapes(measurement)), Mailbox.shared(shapes(stop))
         self.pushes, self.seen = Mailbox.shared({"force": (3,)}), seen or Mailbox.shared(SEEN)
@@ -79,9 +82,22 @@ class Simulated:
         if message is not None:
             self._measured = build(self._kind, message.values)
         stamp = self._measured.time - self.clock.origin
+        if message is None:
+            self._check_alive(self.clock.now() - stamp)
         if not hasattr(self._measured, "age"):
             return replace(self._measured, time=stamp)
         return replace(self._measured, time=stamp, age=self._measured.age + max(self.clock.now() - stamp, 0.0))
+
+    def _check_alive(self, silent: float) -> None:
+        """Raise :class:`RunAborted` if the process has ended, or has sent nothing for too long [s]: the measurement's age alone would
+        not say why."""
+        if not self.process.is_alive():
+            raise RunAborted(f"the process of the physics has ended with exit code {self.process.exitcode}")
+        if silent > self.patience:
+            why = "the machine is too busy, or its process was held up"
+            raise RunAborted(
+                f"the physics has sent nothing for {silent:.3f} s, the limit is {self.patience:g} s: {why}"
+            )
 
     def write(self, command: Any) -> None:
         """The command that holds from now on; the first one lets the physics go."""
@@ -107,8 +123,12 @@ class Simulated:
         return bool(self.board["fell"])
 
     def close(self) -> None:
+        """End the process, also one that is held up: the command would wait for it at its end."""
         self.board["end"] = 1.0
         self.process.join(5.0)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join(5.0)
 
     def end_effector(self) -> tuple[np.ndarray, np.ndarray]:
         """Times (n) [s] on the runner's clock and true positions (n, 3) [m] of the end effector."""

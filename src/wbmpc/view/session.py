@@ -84,12 +84,15 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeR
     system, mpc = system_of(robot, seed), system_of(robot, seed).mpc
     controller, model, clock = system.controller, system.mpc, WallClock()
     make = partial(_plant_of, robot_name, seed)
-    simulated = Simulated(make, system.plant.measure(), controller.stop(), clock, None, seen=view.seen)
+    simulated = Simulated(
+        make, system.plant.measure(), controller.stop(), clock, None, seen=view.seen, patience=_PATIENT
+    )
     if view.process is None:
         view.open(mpc, simulated.seen)
     view.guide(mpc, controller, simulated.push)
+    # the physics says itself when it is held up, and earlier
     times = RealTimeSettings(
-        1.0 / system.timing.period, max_policy_age=_PATIENT, max_observation_age=_PATIENT, watchdog=_PATIENT,
+        1.0 / system.timing.period, max_policy_age=_PATIENT, max_observation_age=2.0 * _PATIENT, watchdog=_PATIENT,
         keep=robot.base.balances,
     )  # fmt: skip
     return RealTimeRunner(
