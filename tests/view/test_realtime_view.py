@@ -230,7 +230,7 @@ def test_a_session_ends_with_the_process_of_its_page(
 def test_a_session_without_its_physics_says_so_and_leaves_no_process(
     by: signal.Signals, says: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Measurements that grow old were all that was said, and a command whose physics was held up did not end. Truth: the system."""
+    """Killed, or held up: the command names the cause and ends. Truth: the system's table of processes."""
     worlds, make, end = [], session.runner_of, physics.Simulated.close
 
     def without(*arguments: Any) -> Any:
