@@ -30,6 +30,8 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 ARM_GAIN = 4.0
 #: Speed [m/s] of a contact below which its wheel is not turned.
 SLOW = 0.01
+#: How far [rad] a target must come back from the end of a range for a wheel that turns about to go back.
+GOES_ON = 0.5
 #: t [s] -> (base pose (3), its rate (3) in world axes), (leg angles (n), rates (n); empty for fixed legs).
 Goals = Callable[[float], tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]
 #: Rate [m/s, rad/s] below which a reference counts as rest.
@@ -74,6 +76,7 @@ class RollingController(SwerveController):
             robot, pose, period, brakes, tracking=announces, estimation=estimation, supervision=supervision
         )
         self.goals, self.gains = goals, gains or RollingGains()
+        self._turns_about = np.zeros(swerve_base(robot).geometry.modules, bool)
         self._waiting: deque[SwerveCommand] = deque(maxlen=round(self.gains.delay / period) + 1)
 
     def command(self, t: float, plans: PolicyQueue) -> SwerveCommand:
@@ -144,10 +147,13 @@ class RollingController(SwerveController):
         return target, np.zeros(target.size)
 
     def _within(self, target: np.ndarray, wheel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Steering targets turned by half a turn, and wheels that run backwards, where the joint's range ends."""
+        """Steering targets turned by half a turn, and wheels that run backwards, where the joint's range ends. A wheel that turns about goes
+        on (:data:`GOES_ON`): at a target beside the end it would go to and fro for ever, with its target."""
         index = self.robot.state["steer"]
         low, high = self.robot.limits.state_lower[index], self.robot.limits.state_upper[index]
-        turn = np.where(target > high, -np.pi, np.where(target < low, np.pi, 0.0))
+        beside = np.where(self._turns_about, GOES_ON, 0.0)
+        turn = np.where(target > high - beside, -np.pi, np.where(target < low + beside, np.pi, 0.0))
+        self._turns_about = turn != 0.0
         return target + turn, np.where(turn == 0.0, wheel, -wheel)
 
 
