@@ -49,3 +49,26 @@ def test_the_gyro_counts_over_the_time_between_stamps(name: str, arrivals: np.nd
     seen = adapter.snapshot()
     assert seen is not None
     assert seen[1][robot.state["base"]][2] == pytest.approx(yaw, abs=2e-3)
+
+
+def test_what_waited_while_a_process_was_held_up_moves_the_base() -> None:
+    """A swerve robot goes straight on, one wheel slips; for a second its messages wait, and come at once. Truth: the way of the others."""
+    robot = load_robot("swerve-ur10")
+    adapter = base_type(robot.description.base.type).ros(robot, settings_of(robot)(), PERIOD)
+    groups, at, way, slipped = turning(robot), 100.0, 0.0, 0.0
+    groups.pop("rates")
+    geometry, leg = robot.base.geometry, robot.home[robot.state["leg"]]
+    steer, rates = rolling_inverse_kinematics(geometry, leg, groups["steer"], (1.0, 0.0, 0.0))
+    rng, still = np.random.default_rng(0), Inertial(np.zeros(3), np.array([0.0, 0.0, 9.81]), np.zeros(3))
+    for k in range(2400):
+        held_up = 1600 < k < 2000
+        way += 0.5 * PERIOD * min(max(0.01 * (k - 400), 0.0), 1.0)
+        at += 400 * PERIOD if k == 1600 else 1e-5 if held_up else PERIOD
+        slipped += 0.05 * PERIOD * (1500 < k < 2000)
+        turned = rates * (way + slipped * np.eye(4)[0])
+        wheel = 2e-4 * np.round((turned + 1e-4 * rng.normal(size=4)) / 2e-4)  # as encoders count
+        sample = JointSample(7.0 + k * PERIOD, {**groups, "leg": leg, "steer": steer, "wheel": wheel})
+        adapter.stand(adapter.measurement(at, at, sample, still))
+    seen = adapter.snapshot()
+    assert seen is not None
+    assert seen[1][robot.state["base"]] == pytest.approx([way, 0.0, 0.0], abs=0.03)

@@ -243,6 +243,22 @@ def test_a_robot_that_stands_by_is_commanded_however_long_that_takes(
     assert robot_io.sent == 3
 
 
+@pytest.mark.parametrize(("silent", "share"), [(0.0, 1.0), (1.0, 0.0)])
+def test_a_stop_after_a_silence_does_not_set_a_robot_going_again(
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, silent: float, share: float
+) -> None:
+    """A process that was held up: the drives have stopped by themselves, the last commands are old. Truth: what is sent."""
+    p = pair()
+    drive(p)
+    robot_io, sent = p.control.robot_io, list[Any]()
+    before = np.array(robot_io.commanded["wheel"])
+    monkeypatch.setattr(robot_io, "_send", sent.append)
+    monkeypatch.setattr(robot_io, "_written", robot_io._written - silent)
+    robot_io.stop()
+    assert np.abs(before).max() > 0.5
+    np.testing.assert_allclose(sent[0]["wheel"], share * before, atol=0.05 * np.abs(before).max())
+
+
 def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogCaptureFixture) -> None:
     """A simulator that was restarted; a goal afterwards is taken again."""
     p = pair()

@@ -79,6 +79,7 @@ class BusRobot:
         self.sent = 0  # commands since the last start
         self._armed = False
         self._stopping: float | None = None
+        self._written = -np.inf  # when the last command was sent
         self.commanded = adapter.rest()
         self._way = BaseWay(adapter.robot) if adapter.robot.description.base.takes_twist else None
         self._way_source = OneSource(topics.base_odom, self._forget_way)
@@ -331,7 +332,7 @@ class BusRobot:
 
     def write(self, command: Any) -> None:
         """Send a command to all controllers."""
-        self.commanded, self._stopping = self.adapter.groups(command), None
+        self.commanded, self._stopping, self._written = self.adapter.groups(command), None, time.perf_counter()
         self._send(self.commanded)
 
     def stop(self) -> None:
@@ -343,7 +344,8 @@ class BusRobot:
         """
         now, ramp = time.perf_counter(), self.settings.safety.ramp
         if self._stopping is None:
-            self._stopping = now
+            # who has sent nothing for so long has no robot to brake: its drives have stopped by themselves
+            self._stopping = now if now - self._written <= ramp else now - ramp
         if now - self._stopping > ramp + ZEROS and not self._armed:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0

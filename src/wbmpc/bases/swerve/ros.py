@@ -61,6 +61,10 @@ class BusMeasurement(OnBus, SwerveMeasurement):
     """Of a bus."""
 
 
+#: Messages whose arrivals are apart by less than this share of what their stamps are apart have waited.
+AT_ONCE = 0.2
+
+
 class BusEstimator(SwerveEstimator):
     """On a bus: another localization's poses come from ``fix``, and clocks restart. ``seen``: the newest measurement with the pose
     that belongs to it, for other threads; ``placed``: whether some pose has said where the robot is."""
@@ -70,11 +74,13 @@ class BusEstimator(SwerveEstimator):
     placed = False
     _origin: float | None = None  # of the last measurement
     _series: Series | None = None
+    _at_once = False
 
     def process(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localization's pose if there is a new one."""
         self._follow_series(measurement)
         self._follow_clock(measurement)
+        self._at_once = self._came_at_once(measurement)
         super().process(measurement)
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
@@ -109,6 +115,21 @@ class BusEstimator(SwerveEstimator):
             return None
         arrivals = now.time + now.origin - previous.time - previous.origin
         return by_arrivals(now.turning, now.stamp - previous.stamp, arrivals)
+
+    def _came_at_once(self, now: SwerveMeasurement) -> bool:
+        """Whether a message waited with the one before: by their arrivals wheels would have gone their way in hardly any time."""
+        previous = self.measured
+        if not (isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
+            return False
+        arrivals = now.time + now.origin - previous.time - previous.origin
+        return arrivals < AT_ONCE * (now.stamp - previous.stamp)
+
+    def _wheel_weights(self, h: float, leg: Array, turning: float | None) -> Array | None:
+        """As usual, but speeds over no time tell slipping wheels from others no more than they say how fast the base is: all count."""
+        if not self._at_once:
+            return super()._wheel_weights(h, leg, turning)
+        self._coasting = None
+        return None
 
     def carry_on(self, other: BusEstimator) -> None:
         """Go on with what another one has estimated."""
