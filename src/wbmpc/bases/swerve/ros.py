@@ -125,7 +125,7 @@ class BusEstimator(SwerveEstimator):
         return arrivals < AT_ONCE * (now.stamp - previous.stamp)
 
     def _wheel_weights(self, h: float, leg: Array, turning: float | None) -> Array | None:
-        """As usual, but speeds over no time tell slipping wheels from others no more than they say how fast the base is: all count."""
+        """As usual; over hardly any time no speed shows which wheels slip, and all count."""
         if not self._at_once:
             return super()._wheel_weights(h, leg, turning)
         self._coasting = None
