@@ -11,7 +11,7 @@ ROBOT = robot("swerve-fixed-ur10")
 
 
 def test_a_wheel_whose_target_is_the_end_of_its_range_turns_about_once() -> None:
-    """The target goes to and fro across the end, as that of a base that drives on does: a wheel between both ways round stayed there."""
+    """The target goes to and fro across the end, as that of a base that drives on does; the wheel must not follow it to and fro."""
     controller = RollingController(
         ROBOT, np.zeros(3), 0.0025, lambda t: ((np.zeros(3), np.zeros(3)), (np.zeros(4), np.zeros(4)))
     )

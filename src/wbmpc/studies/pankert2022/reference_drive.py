@@ -120,7 +120,7 @@ def _phases(robot: RobotModel, s: SwerveCalibrateSettings) -> list[_Phase]:
         steer, brake = target, closed if twist[2] or not s.open_brakes else _opened(geometry, leg, k)
         toe = np.zeros(geometry.modules)
         if geometry.modules == 4 and not twist[2] and not brake.any():
-            # each wheel once in each direction over four rounds, and as many wheels as there are strokes in one
+            # another wheel on each of the four straight strokes, and on each of them another one in the next round
             wheel = (k + k // len(strokes)) % 4
             toe[wheel] = s.toe if 2.0 * steer[wheel] < minimum[wheel] + maximum[wheel] else -s.toe
         phases += [
