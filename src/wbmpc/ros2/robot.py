@@ -344,8 +344,9 @@ class BusRobot:
         """
         now, ramp = time.perf_counter(), self.settings.safety.ramp
         if self._stopping is None:
-            # who has sent nothing for so long has no robot to brake: its drives have stopped by themselves
-            self._stopping = now if now - self._written <= ramp else now - ramp
+            # from the last command on: to who has sent nothing for long the drives have stopped by themselves, but in lockstep they wait
+            waits = self.settings.lockstep and now - self._written < self.settings.patience
+            self._stopping = now if waits else max(self._written, now - ramp)
         if now - self._stopping > ramp + ZEROS and not self._armed:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0
