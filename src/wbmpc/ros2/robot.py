@@ -305,13 +305,13 @@ class BusRobot:
     def unread(self) -> Iterator[Any]:
         """Measurements of the joint states that came since the last ones that were read, oldest first: a robot that stands follows what
         others do with the robot. They are thinned out; nothing that the inertial unit said is lost by that."""
-        last = -np.inf
+        last = stamp = -np.inf
         for left in range(len(self._waiting) - 1, -1, -1):
             sample, arrival = self._waiting.popleft()
             at = self._when(sample, arrival)
-            if left and 0.0 <= at - last < _STANDING:
+            if left and 0.0 <= at - last < _STANDING and sample.stamp - stamp < _STANDING:  # what waited comes at once
                 continue
-            last = at
+            last, stamp = at, sample.stamp
             yield self._measurement(sample, arrival, self._inertial.averaged(sample.stamp))
 
     def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:

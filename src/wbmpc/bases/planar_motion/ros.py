@@ -21,7 +21,7 @@ from wbmpc.ocp import Cost, OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Weights, planar_estimate
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Task
-from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, by_arrivals
+from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, Waited, by_arrivals
 
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
 #: [rad] besides, have restarted.
@@ -61,12 +61,17 @@ class BusController(PlanarController):
         self.covariance: Array = np.zeros((3, 3))
         self.speed: Array = np.zeros(3)
         self._was: deque[tuple[float, Array]] = deque(maxlen=REMEMBERED)  # times [s] that go on from run to run, poses
+        self._waited, self._passed = Waited(), 0.0  # time [s] from the message before to the last one
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
-        """As the inertial unit's messages between the two say."""
+        """As the inertial unit's messages between the two say; nothing where one of them has waited, for a bias turns with a time that is
+        another one then."""
         if not (self.use_gyro and isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
             return None
-        return by_arrivals(now.turning, now.stamp - previous.stamp, now.time - previous.time)
+        arrivals, stamps = now.time - previous.time, now.stamp - previous.stamp
+        if self._passed != arrivals or 0.0 < stamps < arrivals - GAP:
+            return None
+        return by_arrivals(now.turning, stamps, arrivals)
 
     def measure(self, measurement: BusMeasurement) -> None:  # type: ignore[override]
         """Take in the message of this tick, and another localization's pose if there is a new one."""
@@ -74,7 +79,7 @@ class BusController(PlanarController):
         before, last = self.pose.copy(), self.measured
         # the runner's clock starts at zero with each run
         lasting = replace(measurement, time=measurement.time + measurement.origin)
-        interval = 0.0 if last is None else lasting.time - last.time
+        interval = self._interval(last, lasting)
         if last is not None and self._restarted(last, measurement, interval):
             self.odometry.restart()
             self.covariance = self.covariance + np.diag(UNSEEN**2)
@@ -87,6 +92,13 @@ class BusController(PlanarController):
         if fix is not None:
             self._correct(fix[0] + measurement.origin, fix[1], fix[2])
         self.seen = measurement, self.pose.copy(), self.speed
+
+    def _interval(self, last: PlanarMeasurement | None, now: BusMeasurement) -> float:
+        """Time [s] from one message to the next: by their arrivals, or as long as the second one has waited."""
+        self._passed = 0.0
+        if isinstance(last, BusMeasurement):
+            self._passed = self._waited.interval(now.time - last.time, now.stamp - last.stamp)
+        return self._passed
 
     def _follow_series(self, series: Series) -> None:
         """Encoders that restart move nothing; a simulated robot that restarts is where its odometry begins."""
