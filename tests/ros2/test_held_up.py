@@ -14,7 +14,9 @@ from wbmpc.bases import base_type
 from wbmpc.bases.wheels.control import wheels_base
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
+from wbmpc.ros2.goals import Planner
 from wbmpc.ros2.joints import Waited
+from wbmpc.ros2.request_queue import RequestQueue
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import RosSettings, joint_groups, settings_of
 from wbmpc.runtime.clock import WallClock
@@ -110,3 +112,34 @@ def test_a_stamp_is_a_time_only_after_a_silence_that_has_room_for_it() -> None:
     assert waited.interval(0.0025, 0.0025) == 0.0025
     burst = Waited()
     assert [burst.interval(a, 0.0025) for a in (0.04, 1e-4, 1e-4)] == [0.04, 1e-4, 1e-4]
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: bool) -> None:
+    """A stream of 20 Hz goes on while a process is held up for 2 s. Truth: by hand. It counts again at once where nothing moved, after a
+    zero where it was stopped."""
+    robot = load_robot("differential-ur10")
+    settings, bus, now = settings_of(robot)(), Listening(), [10.0]
+    bus.publishers = lambda *given: []  # type: ignore[attr-defined]
+    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
+    queue.look()
+    speed(0.5)
+    assert queue.take() is not None
+    now[0] += 2.0
+    for _ in range(3):  # before the node's own thread goes on, and after
+        speed(0.5)
+        queue.look()
+        if stopped:
+            queue.stop()
+        assert queue.take() is None
+        now[0] += 1e-4
+    assert "held up" in queue.rejected
+    for _ in range(10):
+        now[0] += 0.05
+        queue.look()
+        speed(0.5)
+    assert (queue.take() is not None) is not stopped
+    speed(0.0)
+    speed(0.5)
+    assert queue.take() is not None

@@ -114,6 +114,7 @@ class ControlNode:
 
     def step(self) -> None:
         """One look: goals, start and stop, messages."""
+        self.request_queue.look()
         self.node.work()
         self.tuning.update()
         self._supervise()
