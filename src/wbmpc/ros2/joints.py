@@ -180,7 +180,7 @@ class Waited:
     def interval(self, arrivals: float, stamps: float) -> float:
         """Time [s] between two messages whose arrivals and stamps are so far apart [s]: by their arrivals, where the second one has waited
         by their stamps."""
-        waited = arrivals < AT_ONCE * stamps and 0.0 < self._room >= stamps - arrivals - SILENCE
+        waited = 0.0 <= arrivals < AT_ONCE * stamps and 0.0 < self._room >= stamps - arrivals - SILENCE
         if waited or arrivals > SILENCE:
             self._room = min(max(self._room + arrivals - max(stamps, 0.0), 0.0), _LONGEST)
         return stamps if waited else arrivals
