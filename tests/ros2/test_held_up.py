@@ -143,3 +143,8 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     speed(0.0)
     speed(0.5)
     assert queue.take() is not None
+    queue.look_away()  # a goal is begun, which takes long
+    now[0] += 2.0
+    speed(0.4)
+    queue.look()
+    assert queue.take() is not None and not queue._latched

@@ -288,6 +288,7 @@ class ControlNode:
 
     def start(self, x: np.ndarray, task: Task, references: References) -> None:
         self._end_runner()
+        self.request_queue.look_away()
         settings, adapter, watchdog = self.settings, self.adapter, self.settings.safety.watchdog
         adapter.begin(x)
         self.external_pose.reset()

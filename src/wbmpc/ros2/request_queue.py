@@ -80,6 +80,10 @@ class RequestQueue:
             self._fresh_from = now + _WAITED
         self._looked = now
 
+    def look_away(self) -> None:
+        """What the node does now may take long, and is no reason to miss speeds; until the next :meth:`look`."""
+        self._looked = np.inf
+
     def take(self) -> Request | None:
         """The newest request, once."""
         if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
