@@ -14,12 +14,15 @@ from wbmpc.bases import base_type
 from wbmpc.bases.wheels.control import wheels_base
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
+from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.goals import Planner
 from wbmpc.ros2.joints import Waited
 from wbmpc.ros2.request_queue import RequestQueue
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import RosSettings, joint_groups, settings_of
-from wbmpc.runtime.clock import WallClock
+from wbmpc.runtime.clock import VirtualClock, WallClock
+from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.runtime.stop_control import StopControl
 
 PERIOD, SPEED, BIAS = 0.0025, 0.8, 0.01
 
@@ -148,3 +151,19 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     speed(0.4)
     queue.look()
     assert queue.take() is not None and not queue._latched
+
+
+def test_a_plan_from_before_a_process_was_held_up_sends_no_trajectory() -> None:
+    """The node's own thread goes on before the controller's, which stops the robot. By hand: ticks at 0.5 s, then at 2.5 s, limit 0.1 s; an arm
+    that follows trajectories stands by then, and the plan is elsewhere."""
+    runner, sent = StopControl(None, RealTimeSettings(), VirtualClock()), list[float]()  # type: ignore[arg-type]
+    runner.plans = SimpleNamespace(current="a plan")  # type: ignore[attr-defined]
+    control = SimpleNamespace(
+        request_queue=SimpleNamespace(wrench=lambda: np.zeros(6)), wrench=np.zeros(6), runner=runner, running=True, now=None,
+        clock=runner.clock, trajectories=SimpleNamespace(send=lambda policy, t, now: sent.append(t)),
+    )  # fmt: skip
+    for now in (0.5, 0.55, 2.5):
+        runner.clock.wait(now)
+        runner._beat = min(now, 0.5)
+        ControlNode._send_setpoints(control)  # type: ignore[arg-type]
+    assert sent == [0.5, 0.55]

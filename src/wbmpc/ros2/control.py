@@ -279,7 +279,7 @@ class ControlNode:
             self.adapter.push(wrench)
         runner = self.runner
         policy = runner.plans.current if runner is not None and self.running else None
-        if policy is not None:
+        if runner is not None and policy is not None and not runner.overdue:
             self.trajectories.send(policy, self.clock.now(), self.now)
 
     def set_task(self, task: Task, references: References) -> None:
