@@ -28,8 +28,10 @@ from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, Waited, by_a
 GAP, REST = 0.1, 0.5
 #: Poses that are kept: another localization's is of the time of its stamp.
 REMEMBERED = 400
-#: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that restart.
+#: Standard deviations: of the way [m after 1 m], of a turn [rad after 1 rad], what a gap adds [m, m, rad], of encoders that restart.
 SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
+#: A way counts from so far on [m or rad], for encoders tremble.
+COUNTS = 0.01
 #: Angles of steering joints that there are not.
 _NO_STEERING = np.zeros(0)
 
@@ -61,6 +63,7 @@ class BusController(PlanarController):
         self.covariance: Array = np.zeros((3, 3))
         self.speed: Array = np.zeros(3)
         self._was: deque[tuple[float, Array]] = deque(maxlen=REMEMBERED)  # times [s] that go on from run to run, poses
+        self._counted = self.pose.copy()  # up to where the way is in the covariance
         self._waited, self._passed = Waited(), 0.0  # time [s] from the message before to the last one
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
@@ -111,7 +114,7 @@ class BusController(PlanarController):
         if series.simulations != known.simulations:
             self._was.clear()
             self.odometry.place(np.zeros(3))
-            self.covariance = np.zeros((3, 3))
+            self.covariance, self._counted = np.zeros((3, 3)), np.zeros(3)
 
     def _restarted(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
         upper = planar_base(self.robot).wheel_upper
@@ -120,14 +123,23 @@ class BusController(PlanarController):
 
     def _note_motion(self, before: Array, interval: float) -> None:
         moved = lie.se2_log(before, self.pose)
-        way, turn = float(np.hypot(*moved[:2])), abs(float(moved[2]))
-        spread = np.array([SLIP * way, SLIP * way, TURN * turn])
         if interval > GAP:
-            spread = spread + UNSEEN * interval
+            self.covariance = self.covariance + np.diag((UNSEEN * interval) ** 2)
         elif interval < 0.0:  # a wrong stamp, before or now, or another clock
-            spread = spread + UNSEEN
-        self.covariance = self.covariance + np.diag(spread**2)
+            self.covariance = self.covariance + np.diag(UNSEEN**2)
+        self._count_way()
         self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
+
+    def _count_way(self) -> None:
+        """What the heading is off turns the way, and errors of short ways are independent, however many messages they took."""
+        dx, dy, turn = self.pose - self._counted
+        way = float(np.hypot(dx, dy))
+        if max(way, abs(turn)) < COUNTS:
+            return
+        turned = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+        spread = np.array([SLIP**2 * way, SLIP**2 * way, TURN**2 * abs(turn)])
+        self.covariance = turned @ self.covariance @ turned.T + np.diag(spread)
+        self._counted = self.pose.copy()
 
     def _correct(self, t: float, pose: Array, covariance: Array) -> None:
         """By both covariances, where the base was at t [s]: what it has driven since stays. A pose without a covariance is exact and of
@@ -147,6 +159,7 @@ class BusController(PlanarController):
         moved = lambda p: then + [by[0], by[1], 0.0] + lie.se2_compose([0.0, 0.0, by[2]], p - then)
         self._was = deque(((t, moved(p)) for t, p in self._was), REMEMBERED)
         self.odometry.place(moved(self.pose))
+        self._counted = self.pose.copy()
 
 
 def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
