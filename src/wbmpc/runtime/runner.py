@@ -267,6 +267,8 @@ class RealTimeRunner(StopControl):
         if self._stopped.is_set() or self._ended.is_set():  # from another thread, while this tick hung
             return
         over(now())
+        # the drives of a process that was held up until now have stopped by themselves: what was right before sets them going again
+        check_held_up(0.0, now() - self._beat, self.settings.watchdog)
         self.robot.write(command)
         over(now())
         self.own.sample("sent", self.punctuality.sent())
