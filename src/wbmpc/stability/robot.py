@@ -172,10 +172,10 @@ def counter_clockwise(robot: RobotModel, feet: Feet | None = None) -> tuple[int,
         return tuple(hull(points))
     chosen = list(feet)
     if len(set(chosen)) < 3 or not set(chosen) <= set(range(len(points))):
-        raise InputError(f"feet: at least 3 different modules of 0 to {len(points) - 1} are needed, got {tuple(feet)}")
+        raise InputError(f"feet: at least 3 different feet of 0 to {len(points) - 1} are needed, got {tuple(feet)}")
     order = hull(points[chosen])
     if len(order) < len(chosen):
-        raise InputError(f"feet: at the robot's home the modules {tuple(feet)} are not the corners of a convex polygon")
+        raise InputError(f"feet: at the robot's home the feet {tuple(feet)} are not the corners of a convex polygon")
     return tuple(chosen[i] for i in order)
 
 
