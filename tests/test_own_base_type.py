@@ -98,14 +98,14 @@ class RailBase:
         self.twist = np.eye(3)
         self.wheels, self.balances, self.ground, self.body_height = 0, False, 0.0, float(self._position[2])
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         rotation = constant(quaternion_to_rotation(self._quaternion))
         return FramePose(constant(self._position), constant(self._quaternion), rotation)
 
     def chain(self, x: ca.SX) -> Chain:
-        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._links)}, self.root(x))
+        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._links)}, self.root_pose(x))
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         return {link: u[k] for k, link in enumerate(self._links)}, ca.SX(3, 1), ca.SX(3, 1)
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:

@@ -208,10 +208,10 @@ class Base(Protocol):
     def chain(self, x: ca.SX) -> Chain:
         """The tree of links at a state."""
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         """Pose of the body's frame in the model's world."""
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Rates of the tree's joints by link, linear and angular velocity of its root in the root's axes."""
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:

@@ -172,7 +172,7 @@ class RobotModel:
 
     def frame_velocity(self, x: ca.SX, u: ca.SX, frame: str) -> tuple[ca.SX, ca.SX]:
         """Linear [m/s] and angular [rad/s] velocity (3 each) of a frame, world axes."""
-        rates, linear, angular = self.base.motion(x, u)
+        rates, linear, angular = self.base.velocities(x, u)
         return self.base.chain(x).frame_velocity(self._frame(frame), rates, linear, angular)  # type: ignore[no-any-return]
 
     # ------------------------------------------------------------------ numeric
