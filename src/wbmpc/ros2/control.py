@@ -298,7 +298,7 @@ class ControlNode:
         self._follow_sensors()  # what the sensors said meanwhile
         times = RealTimeSettings(
             settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=watchdog,
-            watchdog=settings.held_up, records=_RECORDS, keep=adapter.must_keep_running, priority=control_priority(),
+            watchdog=settings.held_up, records=_RECORDS, keep_last_policy=adapter.must_keep_running, priority=control_priority(),
             offset=MPC_OFFSET * self.period,
         )  # fmt: skip
         self.runner = RealTimeRunner(
