@@ -8,8 +8,8 @@ that has gone: d̂ then learns at full gain, whatever the gate says, until ``set
 on like that. A plan that does not know of such a force, or believes in one that has gone, leans wrongly for as long. (To go on
 learning at every sign of motion makes a robot with an unknown 1 kg in its end effector swing against its own observer.)
 
-At the start nothing has been learned, and the first disturbances are errors of the robot's own masses and its load, under which it falls from its
-first lean, by a factor of 1.5 every 0.1 s: for ``longest`` seconds the observer learns faster (:data:`EAGER_FORCE`), whatever the gate says.
+At the start nothing has been learned, and the first disturbances are errors of the robot's own masses and its load: for ``longest`` seconds d̂ learns
+:data:`EAGER` times as fast, whatever the gate says.
 
 Nor is the inertia of a load that is not modeled: while the robot accelerates, its force comes and goes with the motion. An observer
 that follows it, nearly as fast as the controller acts on it, makes the two swing against each other (1 kg in the end effector, a step of
@@ -35,8 +35,8 @@ from wbmpc.kernel.step import bind
 
 #: The share of the gate from which on a steady innovation counts: no push needs to be distinguished from it, only noise.
 STEADY = 0.35
-#: How many times as large L1 and L2 are of an observer that has just been started: poles of -40 ± 40 i /s.
-EAGER_SPEED, EAGER_FORCE = 3.2, 43.0
+#: How many times as fast an observer learns that has just been started.
+EAGER = 4.0
 
 
 class Clock(IntEnum):
@@ -128,9 +128,8 @@ def observe(d: Disturbance, g: Gate, t: float, h: float) -> float:
     gain, learning = g.settings[Setting.FORCE_GAIN] / (1.0 + moving), 1.0 / (1.0 + moving)
     if steady:
         gain, learning = g.settings[Setting.FORCE_GAIN], 0.0
-    follow = g.settings[Setting.SPEED_GAIN]
     if new:
-        follow, gain = follow * EAGER_SPEED, gain * EAGER_FORCE
+        gain *= EAGER
     if held:
         gain, learning = 0.0, 0.0
     for i in range(d.size):
@@ -138,7 +137,7 @@ def observe(d: Disturbance, g: Gate, t: float, h: float) -> float:
         for j in range(d.size):
             total += d.mass[i * d.size + j] * d.innovation[j]
         d.force[i] += h * gain * total
-        g.speed[i] = d.after[i] + h * follow * d.innovation[i]
+        g.speed[i] = d.after[i] + h * g.settings[Setting.SPEED_GAIN] * d.innovation[i]
     return learning
 
 
