@@ -14,6 +14,7 @@ from wbmpc.configuration import OneOf
 from wbmpc.settings import MpcSettings, MpcTiming, Nothing, PlanSettings, Positive, Settings, UniformPlan, Weight
 from wbmpc.studies.minniti2019.controller_parts import (
     ACCURATE,
+    ACCURATE_PLAN,
     BALL_HELD,
     DEAD_TIME,
     MPC,
@@ -290,6 +291,6 @@ AccurateController = OneOf[
 HELD_MPC = WholeBodyMpc(cost=part(MpcCost, BALL_HELD))
 ACCURATE_MPC = WholeBodyMpc(
     estimator=PushFilter(expected_push_time=0.0),
-    limits=HardArmLimits(speed_slack=ACCURATE.speed_slack),
-    cost=part(MpcCost, ACCURATE),
+    limits=HardArmLimits(speed_slack=ACCURATE_PLAN.speed_slack),
+    cost=part(MpcCost, ACCURATE_PLAN),
 )
