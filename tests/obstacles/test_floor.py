@@ -11,7 +11,9 @@ import pytest
 import wbmpc as wb
 from clearing import write_arm
 from wbmpc.default_problem import default_mpc, default_problem
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.obstacles import geometry
 from wbmpc.obstacles.floor import floor_boxes, heights
 from wbmpc.obstacles.geometry import rigid_link
 from wbmpc.obstacles.pairs import draw_states
@@ -77,3 +79,18 @@ def test_goals_are_drawn_off_the_floor() -> None:
     settings = goals.GoalsSettings(robot="ur5")
     states = np.concatenate([goals.random_states(robot, settings, seed) for seed in range(5)])
     assert lowest(robot, states).min() > 0.0
+
+
+def test_shapes_that_cannot_be_read_are_named_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Plans need no shapes, but nothing said why the arm went into the floor."""
+
+    def unreadable(robot: RobotModel) -> None:
+        raise InputError(f"{robot.description.model}: mesh 'fore' has no vertices")
+
+    monkeypatch.setattr(geometry, "_read", unreadable)
+    robot = load_robot(write_arm(tmp_path))
+    assert floor_boxes(robot) == floor_boxes(robot) == ()
+    (said,) = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    assert "off the floor" in said and "arm.xml: mesh 'fore' has no vertices" in said

@@ -17,6 +17,7 @@ from wbmpc.clearance.rows import SelfRows
 from wbmpc.cli import main
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.obstacles import pairs
 from wbmpc.obstacles.geometry import RobotGeometry, _cover, robot_geometry
 from wbmpc.obstacles.pairs import (
     diagnose,
@@ -227,8 +228,9 @@ def test_pairs_to_ignore_are_left_out_and_the_rest_is_shown(tmp_path: Path) -> N
     assert "4 shapes on 4 frames" in text and "confirm them" in text and "[shoulder, fore]" in text
 
 
-def test_a_pair_that_touches_and_is_not_in_the_file_is_found(tmp_path: Path) -> None:
+def test_a_pair_that_touches_and_is_not_in_the_file_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Truth: MuJoCo's contacts, state by state."""
+    monkeypatch.setattr(pairs, "RARE", 0.0)
     section = "collision: {{self: {{pairs: [{}], ignore: [{}]}}}}"
     kept = [("shoulder", "fore"), ("foot", "upper")]
     bare = load_robot(write_arm(tmp_path, section.format("[shoulder, fore], [foot, upper]", "")))

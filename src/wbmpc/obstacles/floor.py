@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
+from weakref import WeakSet
 
 import casadi as ca
 import numpy as np
@@ -12,9 +14,11 @@ from wbmpc.errors import InputError
 from wbmpc.model.kinematics import constant
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.tree import Frame
-from wbmpc.obstacles.geometry import RobotGeometry, path_of, rigid_link, robot_geometry
+from wbmpc.obstacles.geometry import RobotGeometry, has_shapes, path_of, rigid_link, robot_geometry
 from wbmpc.obstacles.pairs import HOME_SHARE, draw_states
 
+_LOG = logging.getLogger("wbmpc")
+_WARNED: WeakSet[RobotModel] = WeakSet()
 #: States that are drawn to see what comes near the floor, and edges of boxes below which they are rounded, as a share.
 SAMPLES, ROUNDED = 400, 0.01
 
@@ -40,14 +44,18 @@ class FloorBox:
 def floor_boxes(robot: RobotModel) -> tuple[FloorBox, ...]:
     """Of the arm's parts that come nearer to the floor than they may in random states. What is low at home keeps
     :data:`~wbmpc.obstacles.pairs.HOME_SHARE` of its height there, if that is less than ``collision.margin``; what is in the floor
-    at home keeps nothing. None of a robot without shapes, nor where the robot file says that there is no floor."""
+    at home keeps nothing. None of a robot without shapes, nor where the robot file says that there is no floor; nor, with a warning, where
+    shapes cannot be read: plans need none."""
     margin = robot.description.collision.margin
     try:
-        geometry = robot_geometry(robot)
-    except InputError:  # without shapes, or with meshes that are missing
+        if not robot.description.collision.floor or not has_shapes(robot):
+            return ()
+    except InputError as error:
+        if robot not in _WARNED:
+            _WARNED.add(robot)
+            _LOG.warning("nothing keeps the arm of '%s' off the floor: %s", robot.description.name, error)
         return ()
-    if not robot.description.collision.floor:
-        return ()
+    geometry = robot_geometry(robot)
     arm = {robot.tree.joint(n) for n in robot.description.arm.joints}
     found: dict[int, FloorBox] = {}
     for name in geometry.frames:

@@ -32,8 +32,8 @@ FILE_SAMPLES, OFTEN, MAX_PAIRS = 4000, 0.5, 20
 MAX_BOUNDS, AT_ONCE, MAX_EXACT, MAX_SHAPES = 10_000_000, 1_000_000, 300_000, 1000
 #: Of a robot file's pairs it is looked in at most so many states, and in fewer where shapes are many, whether others touch.
 LOOKED_AT, LOOKED_AT_BOUNDS = 1000, 400_000
-#: Of those so many are named with how often.
-NAMED = 5
+#: Of those so many are named with how often; what touches in a smaller share of the states is no fault: a pair costs time in every solve.
+NAMED, RARE = 5, 0.02
 #: Shapes that are nearer [m] overlap.
 TOUCHING = 1e-6
 #: A pair keeps no margin at home of which less than this share is left, or that share of its distance there where that is less.
@@ -301,9 +301,11 @@ def diagnose(robot: RobotModel) -> Iterator[Finding]:
 
 
 def _missing(robot: RobotModel) -> Iterator[Finding]:
-    """Warnings where parts touch that no pair of the robot file keeps apart, and where that cannot be said."""
+    """Warnings where parts touch that no pair of the robot file keeps apart, and where that cannot be said; a note of those that touch
+    in a share of the states below :data:`RARE`."""
     looked = unlisted(robot)
-    found = looked.pairs
+    found = {pair: n for pair, n in looked.pairs.items() if n >= RARE * looked.counted}
+    rare = [pair for pair in looked.pairs if pair not in found]
     if not looked.counted:
         never = ", ".join(f"[{a}, {b}]" for a, b in looked.never)
         yield Finding(
@@ -320,6 +322,13 @@ def _missing(robot: RobotModel) -> Iterator[Finding]:
             "warning", "collision", "key 'collision.self.pairs'",
             f"parts touch that no pair keeps apart, of {looked.counted} random states in which those of the file are apart {often}{more}",
             f"add them to 'collision.self.pairs', or to 'collision.self.ignore' where only their shapes touch: [{pairs}]",
+        )  # fmt: skip
+    if rare:
+        pairs = ", ".join(f"[{a}, {b}]" for a, b in rare)
+        yield Finding(
+            "info", "collision", "key 'collision.self.pairs'",
+            f"{len(rare)} pairs that nothing keeps apart touch, each in less than {RARE:.0%} of {looked.counted} random states: {pairs}",
+            "leave them out, as each pair costs time in every solve, or add those that your tasks bring near each other",
         )  # fmt: skip
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 _TURNS, _FAST = np.pi, 2.0
 #: Numbers of a pose, and of one in the plane.
 _POSE, _BASE = 6, 3
+#: Slides are those of one telescope if the cosine of their axes is more.
+PARALLEL = 0.999
 #: Random postures of the arm whose spread is its reach.
 _POSTURES = 400
 
@@ -34,20 +36,46 @@ def scaled_weights(
     robot: RobotModel, end_effector: float = 4000.0, input: float = 0.4, posture: float = 0.5
 ) -> ScaledWeights:
     """Position ``end_effector`` [1/m²] and orientation that times (reach / 4)²; every input ``input`` over the square of its limit; every
-    arm joint ``posture`` over the square of half its range, times :func:`free_share`."""
+    arm joint ``posture`` over the square of half its range, times :func:`free_share`. Sections of one telescope weigh together as one
+    joint with all their range and speed: each alone is short, and would be held at home as if its few centimeters were all of the way."""
     limits, arm = robot.limits, robot.state["arm"]
     effector = end_effector * np.array([1.0] * 3 + [(reach(robot) / 4.0) ** 2] * 3)
     half = np.minimum(0.5 * (limits.state_upper[arm] - limits.state_lower[arm]), _TURNS)
     maximum = np.where(np.isfinite(limits.input_upper), limits.input_upper, _FAST)
     rates = {group: list(input / maximum[robot.input[group]] ** 2) for group in robot.input.groups}
-    return ScaledWeights(effector, free_share(robot) * posture / half**2, rates)
+    rates["arm"] = list(input / _shared(robot, maximum[robot.input["arm"]]))
+    return ScaledWeights(effector, free_share(robot) * posture / _shared(robot, half), rates)
+
+
+def _shared(robot: RobotModel, sizes: Array) -> Array:
+    """Squares (n) of ``sizes`` (n) of arm joints; for a section of a telescope, its size times that of all of them together."""
+    together = sizes.copy()
+    for joints in telescopes(robot):
+        together[joints] = sizes[joints].sum()
+    return np.asarray(sizes * together)
+
+
+def telescopes(robot: RobotModel) -> list[list[int]]:
+    """Arm joints (by their order in the state) that slide one on the other along one direction."""
+    links, poses, found = robot.tree.links, robot.tree.zero_poses(), dict[int, list[int]]()
+    axis = lambda i: poses[i][1] @ links[i].axis
+    for number, name in enumerate(robot.state.groups["arm"]):
+        first = link = robot.tree.joint(name)
+        while links[first].kind == "prismatic" and link >= 0 and links[link].kind != "revolute":
+            if links[link].kind == "prismatic" and abs(float(axis(link) @ axis(first))) > PARALLEL:
+                first = link
+            link = links[link].parent
+        found.setdefault(first, []).append(number)
+    return [joints for joints in found.values() if len(joints) > 1]
 
 
 def free_share(robot: RobotModel) -> float:
     """How much of a posture can be kept while the end effector follows poses: all of it by a robot with as many joints more than a pose
-    has numbers as a base in the plane, none without any more: its posture would pull against every pose but home's."""
+    has numbers as a base in the plane, none without any more: its posture would pull against every pose but home's. A telescope counts
+    as one joint."""
     base = _BASE if robot.description.base.moves else 0
-    return float(np.clip((len(robot.state.groups["arm"]) + base - _POSE) / _BASE, 0.0, 1.0))
+    own = len(robot.state.groups["arm"]) - sum(len(joints) - 1 for joints in telescopes(robot))
+    return float(np.clip((own + base - _POSE) / _BASE, 0.0, 1.0))
 
 
 def reach(robot: RobotModel) -> float:
