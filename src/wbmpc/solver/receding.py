@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
-from wbmpc.solver.compilation import LIBRARY, Floats, Integers, compiled
+from wbmpc.solver.compilation import LANES, LIBRARY, Floats, Integers, compiled
 from wbmpc.solver.driver import solve
 from wbmpc.solver.line_search import take
 from wbmpc.solver.memory_layout import (
@@ -22,7 +22,9 @@ from wbmpc.solver.memory_layout import (
     NU,
     NX,
     ROW_L,
+    ROW_S,
     ROW_T,
+    ROW_Y,
     ROWS,
     SLOPES,
     STATE,
@@ -31,6 +33,7 @@ from wbmpc.solver.memory_layout import (
     K,
     N,
     P,
+    Setting,
     StateField,
     U,
     X,
@@ -213,6 +216,32 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
 
 
 @compiled
+def shift_numbers(m: Floats, o: Integers, numbers: int, k: int, i: int, a: float) -> None:
+    """A number for each row, from those of the nodes i ≥ k and i + 1, of which ``a`` counts, to node k. They may be infinite."""
+    inner = a > 0.0 and i < o[N] - 1
+    new, old, after, share = numbers + k * o[ROWS], numbers + i * o[ROWS], o[ROWS] if inner else 0, a if inner else 0.5
+    for j in range(0, o[ROWS], LANES):
+        here, there = old + j, old + j + after
+        m[new + j : new + j + LANES] = (1.0 - share) * m[here : here + LANES] + share * m[there : there + LANES]
+
+
+@compiled
+def shift_rows(m: Floats, o: Integers, delta: float) -> None:
+    """Move slacks and multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then."""
+    n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
+    for k in range(n):
+        t = min(m[new + k] + delta, m[g + n])
+        while i < n - 1 and m[g + i + 1] <= t:
+            i += 1
+        if i >= k:  # backwards in time they stay
+            a = (t - m[g + i]) / (m[g + i + 1] - m[g + i])
+            shift_numbers(m, o, o[ROW_T], k, i, a)
+            shift_numbers(m, o, o[ROW_L], k, i, a)
+            shift_numbers(m, o, o[ROW_S], k, i, a)
+            shift_numbers(m, o, o[ROW_Y], k, i, a)
+
+
+@compiled
 def receding_solve(
     m: Floats,
     o: Integers,
@@ -227,6 +256,8 @@ def receding_solve(
     """Shift by ``delta``, sample at ``t0``, iterate: (status, steps done)."""
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
+        if row_count(o) > 0 and settings[Setting.KEEP_SLACKS] == 0.0:
+            shift_rows(m, o, delta)
         shift(m, o, delta)
     m[o[STATE] + StateField.BLOCKED_TIME] += delta
     sample_all(m, o, numbers, integers, t0)
