@@ -10,6 +10,7 @@ import numpy as np
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
 from wbmpc.solver.compilation import LANES, LIBRARY, Floats, Integers, compiled
 from wbmpc.solver.driver import solve
+from wbmpc.solver.inequality_table import HARD, kind_of, node_rows
 from wbmpc.solver.line_search import take
 from wbmpc.solver.memory_layout import (
     ALIGN,
@@ -52,6 +53,19 @@ class Tables(NamedTuple):
 
     numbers: np.ndarray
     integers: np.ndarray
+
+
+class TableAddresses:
+    """Where the arrays of tables are: looked up once for the same tables, for that takes microseconds of every solve."""
+
+    def __init__(self) -> None:
+        self._found: tuple[Tables | None, tuple[int, int]] = (None, (0, 0))
+
+    def of(self, tables: Tables) -> tuple[int, int]:
+        """Addresses of numbers and integers."""
+        if tables is not self._found[0]:
+            self._found = (tables, (tables.numbers.ctypes.data, tables.integers.ctypes.data))
+        return self._found[1]
 
 
 def make_tables(problem: Transcription, references: Mapping[str, Reference], schedule: ModeSchedule) -> Tables:
@@ -196,8 +210,9 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
         for c in range(nx):
             m[o[XT] + k * nx + c] = (1.0 - a) * m[x + c] + a * m[x + nx + c]
         if k < n and i > k:  # the gains hold over intervals; backwards in time they stay
-            for c in range(nu * lx):
-                m[o[K] + k * nu * lx + c] = m[o[K] + i * nu * lx + c]
+            to, source = o[K] + k * nu * lx, o[K] + i * nu * lx
+            for c in range(0, nu * lx, LANES):  # rows of gains are padded
+                m[to + c : to + c + LANES] = m[source + c : source + c + LANES]
     i = 0
     for k in range(n):
         # inputs are constant over an interval: interpolate between the intervals' middles
@@ -227,8 +242,14 @@ def shift_numbers(m: Floats, o: Integers, numbers: int, k: int, i: int, a: float
 
 @compiled
 def shift_rows(m: Floats, o: Integers, delta: float) -> None:
-    """Move slacks and multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then."""
+    """Move slacks and multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then.
+
+    Where multiplier rows are among them all stay: those that contradict limits are told by multipliers that grow at their nodes."""
     n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
+    _, boxes, general = node_rows(o, 0)
+    for r in range(boxes + general):
+        if kind_of(m, o, r) != HARD:
+            return
     for k in range(n):
         t = min(m[new + k] + delta, m[g + n])
         while i < n - 1 and m[g + i + 1] <= t:
