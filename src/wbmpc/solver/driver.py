@@ -209,10 +209,12 @@ def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats, expected
     if m[state + StateField.MAX_PRIMAL_STEP] > THRESHOLDS.jammed or initial_violation(m, o) <= LIMIT_TOLERANCE:
         return False
     hold, most = m[state + StateField.HOLD_INPUTS], THRESHOLDS.runaway * max(1.0, expected)
+    if s[Setting.KEEP_MULTIPLIERS] == 0.0:  # many iterations bring any motion back
+        most = np.inf
     m[state + StateField.HOLD_INPUTS] = max(hold, 1.0)
     cost, violation = trial(m, o, x0, 0.0, True)
     m[state + StateField.HOLD_INPUTS] = hold
-    if not (abs(cost) <= most and np.isfinite(violation)):  # an unstable system may run away
+    if not (np.isfinite(cost) and abs(cost) <= most and np.isfinite(violation)):  # an unstable system may run away
         return False
     take(m, o)
     start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, False)

@@ -251,7 +251,7 @@ class InterpretedSolver(InterpretedLineSearch):
         hold, self.hold = self.hold, max(self.hold, 1)
         x, u = self._trial({}, 0.0, x0, True)
         self.hold = hold
-        most = THRESHOLDS.runaway * max(1.0, expected)
+        most = THRESHOLDS.runaway * max(1.0, expected) if c.keep_multipliers else np.inf
         if not (np.isfinite(x).all() and np.isfinite(u).all() and abs(self._merit(x, u, x0)[0]) <= most):
             return False
         self.ws.x[:], self.ws.u[:] = x, u
