@@ -5,8 +5,7 @@ from __future__ import annotations
 from wbmpc.kernel.ir import LANES, Floats, Integers, Mask, PointerCall, Vector
 from wbmpc.kernel.library import Library
 
-#: What takes time in the driver is written in vectors; its other loops are over the few numbers of a node.
-LIBRARY = Library("driver", packages=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",), loops=False)
+LIBRARY = Library("driver", packages=("solver", "kernel", "ocp"), modules=("wbmpc.solver.receding",))
 compiled = LIBRARY.compiled
 call2, call3, call4, call5, call6, call7 = (PointerCall(n) for n in (2, 3, 4, 5, 6, 7))
 
