@@ -83,7 +83,7 @@ def part(page: Page, run: Path, name: str) -> str:
     speed, title = clip(run, name), figure(page, run, name)
     pictures = {}
     if speed:
-        pace = f"{speed:g} times as fast" if speed > 1.0 else "as fast as it was"
+        pace = f"{speed:g} times as fast" if speed > 1.0 else "in real time"
         pictures[pace] = f"![clip of {name}](images/gallery/{name}.webp)"
     if title:
         pictures[title] = f"![{title}](images/gallery/{name}.png)"

@@ -386,3 +386,12 @@ def test_help_shows_its_words_as_they_are() -> None:
     found = list(texts(get_command(app)))
     assert len(found) > 60
     assert [text for text in found if render(text).plain != text] == []
+
+
+@pytest.mark.parametrize("command", ["render", "ros2 sim"])
+def test_help_shows_no_default_that_stands_for_something_else(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An infinite or a huge number means "to the end". Truth: what a reader takes for a time in seconds."""
+    assert call(*command.split(), "--help") == 0
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "[default: inf" not in said and "[default: 1000000000" not in said
+    assert "default: the end of the run" in said or "default: never" in said

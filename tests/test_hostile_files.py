@@ -42,6 +42,8 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 BAD_YAML = [
     ("a: -0b1_1", r"line 1, key 'a': '-0b1_1' may be read as a binary number"),
     ("a:\n  b: 010", r"line 2, key 'a.b': '010' may be read as an octal number; write 10"),
+    ("a: {b: 1_0}", r"line 1, key 'a.b': '1_0' has an underscore that separates no thousands"),
+    ("a: -1_000_00.5", r"'-1_000_00.5' has an underscore"),
     ("a: [1, 1:30]", r"line 1, key 'a.1': '1:30' may be read as a number to the base of 60"),
     ("a: 1\nb: 2\na: 3", r"line 3, key 'a': appears twice"),
     ("a: &x 1\nb: *x", r"line 1, key 'a': an anchor"),

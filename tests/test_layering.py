@@ -169,6 +169,35 @@ def test_an_mpc_knows_no_residual_by_its_class() -> None:
         assert not names, f"{path.relative_to(SOURCE)}: {sorted(names)}"
 
 
+def commands(tree: ast.Module) -> list[str]:
+    """Classes that are controllers: those with a method that makes commands of what is measured or predicted, and what is called so."""
+    found = []
+    for kind in (n for n in tree.body if isinstance(n, ast.ClassDef)):
+        methods = {n.name for n in kind.body if isinstance(n, ast.FunctionDef)}
+        if kind.name.endswith("Controller") or ("command" in methods and methods & {"measure", "predict"}):
+            found.append(kind.name)
+    return found
+
+
+def test_no_controller_imports_a_simulator() -> None:
+    """Those of the studies too: what they know of the simulated world they are given."""
+    wrong = {}
+    for path in MODULES:
+        if commands(ast.parse(path.read_text())):
+            used = {n for n in imports_of(path) if re.search(r"^mujoco\b|^wbmpc\.simulation\b|_?plant\b", n)}
+            wrong |= {path.relative_to(SOURCE).as_posix(): used} if used else {}
+    assert not wrong
+
+
+def test_the_check_sees_controllers() -> None:
+    found = commands(
+        ast.parse(
+            "class A:\n  def command(self): ...\n  def predict(self): ...\nclass BController(A): ...\nclass C: ..."
+        )
+    )
+    assert found == ["A", "BController"]
+
+
 def test_only_tests_of_the_solver_know_its_memory() -> None:
     """Who tests something else would hold the solver to today's layout."""
     memory = {"wbmpc.solver.workspace", "wbmpc.solver.memory_layout"}

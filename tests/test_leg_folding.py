@@ -51,7 +51,7 @@ def folding(robot: wb.RobotModel, offset: float | None = 0.0) -> tuple[LegFoldin
     mpc: Any = SimpleNamespace(
         obstacles=world,
         reference=references,
-        ocp=SimpleNamespace(horizon=4.0),
+        ocp=SimpleNamespace(horizon=4.0, terms={}),
         period=0.02,
         set_schedule=lambda s: None,
     )
@@ -59,7 +59,7 @@ def folding(robot: wb.RobotModel, offset: float | None = 0.0) -> tuple[LegFoldin
 
     def as_planned(copy: bool = True) -> Any:
         """Of legs that are where they were to be."""
-        return SimpleNamespace(x=robot.home[None] if made._set is None else made._set.values[:1])
+        return SimpleNamespace(x=robot.home[None] if made._set is None else made._set.values[:1], grid=np.zeros(1))
 
     mpc.solver = SimpleNamespace(trajectory=as_planned)
     return made, mpc
@@ -207,7 +207,7 @@ def test_the_brake_of_a_leg_that_lags_waits_for_it(robot: wb.RobotModel) -> None
     def behind(copy: bool = True) -> Any:
         x = as_planned().x.copy()
         x[0, leg] += late * np.sign(robot.home[leg])
-        return SimpleNamespace(x=x)
+        return SimpleNamespace(x=x, grid=np.zeros(1))
 
     def follow(begin: float, end: float) -> np.ndarray:
         for t in np.arange(begin, end, CHECK_INTERVAL):

@@ -100,7 +100,8 @@ def test_the_calibration_of_a_run_is_not_written_where_a_link_leads(
     """Nor where one is put while it is found."""
     before, module = precious.exists(), "wbmpc.cli.calibration"
     link = lambda: Path("calibration.yaml").symlink_to("precious")
-    found = SimpleNamespace(save=lambda path: path.write_text("found"), table=dict, lines=list)
+    save = lambda path, follow: write_text(path, "found", follow)
+    found = SimpleNamespace(save=save, table=dict, lines=list)
     calibrator = SimpleNamespace(find=lambda *_, **__: link() or found)
     monkeypatch.setattr(f"{module}._channels", lambda path: ({}, path))
     monkeypatch.setattr(f"{module}._calibrator_of", lambda *_: calibrator)
@@ -109,6 +110,11 @@ def test_the_calibration_of_a_run_is_not_written_where_a_link_leads(
         assert call("calibrate", "log.npz", "--force") == 2
         assert "--out: 'calibration.yaml' is a link" in capsys.readouterr().err
         assert is_untouched(precious, before)
+    Path("calibration.yaml").unlink()
+    calibrator.find = lambda *_, **__: found
+    monkeypatch.setattr(f"{module}.reject_links", lambda *_: link())  # in the moment after
+    assert call("calibrate", "log.npz", "--force") == 0
+    assert is_untouched(precious, before) and Path("calibration.yaml").read_text() == "found"
 
 
 @pytest.mark.parametrize("name", ["metrics.json", "log.npz", "report.html"])

@@ -24,8 +24,10 @@ WORDS = re.compile(r"\bfetch\(|\.fetch\b")
 #: Groups of joints that only some bases have, as a literal of its own, before the name of a joint, or among the alternatives of a pattern:
 #: "steer", "steer.LF", "(arm|steer)"; and what users call them.
 GROUPS = re.compile(r"^(leg|steer|wheel)(\.|$)|(^|[|(])(leg|steer)([|)]|$)|^(legs|steering)$")
-#: The same as a part of a name in code: leg_commands, SetLegs.
-PARTS = re.compile(r"(?:^|_|(?<=[a-z])(?=[A-Z]))(?:[Ll]egs?|[Ss]teer(?:ing|ed)?)(?=_|$|[A-Z])")
+#: The same as a part of a name in code: leg_commands, SetLegs; and what a steered wheel with its mount is called there.
+PARTS = re.compile(
+    r"^module_(?:offset|lag|geometry)|ModuleGeometry|(?:^|_|(?<=[a-z])(?=[A-Z]))(?:[Ll]egs?|[Ss]teer(?:ing|ed)?)(?=_|$|[A-Z])"
+)
 #: Who asks :class:`wbmpc.bases.footprint.Footprint` and the protocols of bases how feet, legs and steered wheels stand, or finds such joints
 #: in a robot's file. The others know no base's parts by their names.
 FEET = (
@@ -87,7 +89,8 @@ def test_generic_modules_name_no_parts_of_a_base() -> None:
 
 
 @pytest.mark.parametrize(
-    "code", ["class SetLegs: ...", "node.leg_commands()", "def f(*, legs): ...", "steering_joints = 1"]
+    "code",
+    ["class SetLegs: ...", "node.leg_commands()", "def f(*, legs): ...", "steering_joints = 1", "draw.module_lag"],
 )
 def test_a_part_in_a_name_is_found(code: str) -> None:
     assert parts_named(code)

@@ -98,14 +98,14 @@ class RailBase:
         self.twist = np.eye(3)
         self.wheels, self.balances, self.ground, self.body_height = 0, False, 0.0, float(self._position[2])
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         rotation = constant(quaternion_to_rotation(self._quaternion))
         return FramePose(constant(self._position), constant(self._quaternion), rotation)
 
     def chain(self, x: ca.SX) -> Chain:
-        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._links)}, self.root(x))
+        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._links)}, self.root_pose(x))
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         return {link: u[k] for k, link in enumerate(self._links)}, ca.SX(3, 1), ca.SX(3, 1)
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
@@ -295,6 +295,33 @@ def test_a_group_called_base_has_to_be_a_pose(gantry: Path, monkeypatch: pytest.
     monkeypatch.setattr(RailDescription, "joint_groups", lambda self: {"base": [self.axis]})
     with pytest.raises(InputError, match=r"base type 'rail': its state group 'base' has 1 numbers; valid: a pose"):
         load_robot(gantry)
+
+
+def test_wheels_that_a_description_names_alone_are_joints_of_the_base() -> None:
+    """Nothing but ``wheel_joints`` is needed for joints that the state does not have. Truth: the names, and that one
+    which is named twice is left to the check of joints."""
+
+    class TrackedDescription(RailDescription):
+        def wheel_joints(self) -> list[str]:
+            return ["left", "slide", "right", "right"]
+
+    assert TrackedDescription(type="rail", body="beam", axis="slide").joints() == ["slide", "left", "right", "right"]
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "words"),
+    [
+        ("home", np.zeros(3), r"'home' has the shape \(3,\); valid: \(2,\), a number for each name of 'state'"),
+        ("limits", Limits(*[np.ones(2)] * 5, np.ones(1)), r"'limits\.actuator_upper' .*\(1,\); valid: \(2,\), .* 'input'"),
+    ],
+)  # fmt: skip
+def test_a_home_or_limit_of_another_size_is_named(
+    gantry: Path, monkeypatch: pytest.MonkeyPatch, part: str, value: Any, words: str
+) -> None:
+    """Used, they would fail in a place that does not say why. Truth: the two names of state and input."""
+    monkeypatch.setattr(RailBase, part, lambda *given: value)
+    with pytest.raises(InputError, match=f"base type 'rail': {words}"):
+        load_robot(gantry).home  # noqa: B018
 
 
 def test_an_mpc_moves_the_rail_to_a_goal_that_the_arm_does_not_reach(gantry: Path) -> None:

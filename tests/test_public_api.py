@@ -61,6 +61,13 @@ def test_a_robot_takes_the_programs_problem() -> None:
     assert list(user_program.problem_of(robot).terms) == ["end_effector", "speed", "limits"]
 
 
+def test_another_rate_of_the_default_mpc_leaves_its_horizon() -> None:
+    robot = wb.load_robot("panda")
+    usual, slower = wb.default_mpc(robot), user_program.slower(robot)
+    assert (slower.rate, slower.ocp.horizon, slower.ocp.intervals) == (20.0, usual.ocp.horizon, usual.ocp.intervals)
+    assert usual.rate != 20.0
+
+
 def test_a_program_runs_and_records_an_experiment_of_its_own(tmp_path: Path) -> None:
     result, recording = user_program.recorded(tmp_path / "run.mcap")
     assert result.completed and result.reached("moved")

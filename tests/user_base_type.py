@@ -48,13 +48,13 @@ class RailBase:
         self.footprint: wb.Footprint | None = None
         self.twist: Array = np.eye(3)
 
-    def root(self, x: ca.SX) -> wb.FramePose:
+    def root_pose(self, x: ca.SX) -> wb.FramePose:
         return wb.FramePose(ca.SX(3, 1), ca.SX([1.0, 0.0, 0.0, 0.0]), ca.SX.eye(3))
 
     def chain(self, x: ca.SX) -> wb.Chain:
-        return wb.Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._links)}, self.root(x))
+        return wb.Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._links)}, self.root_pose(x))
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         return {link: u[k] for k, link in enumerate(self._links)}, ca.SX(3, 1), ca.SX(3, 1)
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:

@@ -30,6 +30,11 @@ def problem_of(robot: wb.RobotModel) -> wb.OptimalControlProblem:
     return ocp
 
 
+def slower(robot: wb.RobotModel) -> wb.MPC:
+    """The default problem at another rate, with a weight of one's own."""
+    return wb.default_mpc(robot, wb.default_mpc_settings(rate=20.0), wb.DefaultCost(posture=1.0))
+
+
 def double_integrator() -> wb.OptimalControlProblem:
     """Dynamics and costs of one's own: to the origin with at most 1 m/s²."""
     dynamics = wb.Ode({"x": ["p", "v"]}, {"u": ["a"]}, lambda x, u: ca.vertcat(x[1], u[0]))

@@ -18,7 +18,9 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.control.protocols import Fault as Fault
     from wbmpc.control.protocols import Monitor as Monitor
     from wbmpc.control.protocols import RobotController as RobotController
+    from wbmpc.default_problem import DefaultCost as DefaultCost
     from wbmpc.default_problem import default_mpc as default_mpc
+    from wbmpc.default_problem import default_mpc_settings as default_mpc_settings
     from wbmpc.embedded.exporter import export as export
     from wbmpc.errors import InputError as InputError
     from wbmpc.errors import NoRoute as NoRoute
@@ -119,7 +121,7 @@ _NAMES = {
     "wbmpc.bases.footprint": "Footprint",
     "wbmpc.clearance.lattice": "plan_route",
     "wbmpc.control.protocols": "Controller Fault Monitor RobotController",
-    "wbmpc.default_problem": "default_mpc",
+    "wbmpc.default_problem": "DefaultCost default_mpc default_mpc_settings",
     "wbmpc.embedded.exporter": "export",
     "wbmpc.errors": "InputError NoRoute SolveFailed SolverBusy WbmpcError",
     "wbmpc.estimation.offset": "OffsetObserver",

@@ -80,8 +80,9 @@ class DefaultCost(Settings):
     terminal: Weight = 0.5
 
 
-def default_settings(**changes: Any) -> MpcSettings:
-    """Settings of :func:`default_mpc`; ``changes`` of them by name."""
+def default_mpc_settings(**changes: Any) -> MpcSettings:
+    """Settings of :func:`wbmpc.default_mpc`: a horizon of 4 s in 40 intervals, the first of 20 ms. ``changes``: fields of
+    :class:`wbmpc.settings.MpcSettings` by name."""
     return MpcSettings(**{"horizon": 4.0, "intervals": 40, "first_interval": 0.02, **changes})
 
 
@@ -97,7 +98,7 @@ def default_problem(
             f"default problem: the inputs of '{robot.description.name}' are torques, and it balances; valid: robots whose inputs are speeds "
             "(for others: wbmpc.bases.base_type(robot.description.base.type).mpc(robot))"
         )
-    settings, cost = settings or default_settings(), cost or DefaultCost()
+    settings, cost = settings or default_mpc_settings(), cost or DefaultCost()
     first = settings.first_interval or None
     ocp = OptimalControlProblem(robot.dynamics(), settings.horizon, settings.intervals, first_interval=first)
     limits, hard = robot.limits, settings.limits == "hard"
@@ -268,7 +269,7 @@ def default_mpc(
     """The MPC of :func:`wbmpc.default_problem.default_problem` with its real-time ``settings`` and ``cost`` (None: the default weights), whose
     goal is the robot's home; it keeps clear of ``obstacles``, and upright by ``stability``.
     ``progress``: the frame that follows a path: see :func:`wbmpc.path_problem`."""
-    settings = settings or default_settings()
+    settings = settings or default_mpc_settings()
     ocp = default_problem(robot, settings, cost, stability)
     ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)
     mpc = make_mpc(ocp, settings, stability, obstacles=obstacles)

@@ -24,6 +24,8 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _OCTAL = re.compile(r"[-+]?0[0-9_]+")
 _BINARY = re.compile(r"[-+]?0b[01_]+")
 _SEXAGESIMAL = re.compile(r"[-+]?[0-9][0-9_]*(:[0-9]+)+(\.[0-9_]*)?")
+#: Underscores separate thousands; elsewhere one is a slip (1_0 for 1.0).
+_THOUSANDS = re.compile(r"[-+]?[0-9]{1,3}(_[0-9]{3})+(\.[0-9]*)?")
 #: Control characters and halves of surrogate pairs, which no file name and no terminal takes.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 #: What PyYAML raises for texts that are not YAML, beside its own errors.
@@ -151,6 +153,10 @@ class _Reader:
             )
         if kind in ("int", "float") and len(text) > MAX_DIGITS:
             self._fail(event, path, f"a number of {len(text)} characters; at most {MAX_DIGITS} are read")
+        if kind in ("int", "float") and "_" in text and not (_THOUSANDS.fullmatch(text) or "x" in text.lower()):
+            self._fail(
+                event, path, f"'{text}' has an underscore that separates no thousands; write digits, or quote a text"
+            )
         value = _plain(kind, text)
         if isinstance(value, float) and math.isinf(value) and "inf" not in text.lower():
             self._fail(event, path, f"{text} is too large for a number")

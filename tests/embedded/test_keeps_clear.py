@@ -16,7 +16,7 @@ import wbmpc as wb
 from clearing import TrueDistance, keep_clear, reach_problem, write_arm
 from effort import thorough
 from exported import Controller
-from wbmpc.default_problem import default_problem, default_settings, make_mpc
+from wbmpc.default_problem import default_mpc_settings, default_problem, make_mpc
 from wbmpc.embedded import check as checks
 from wbmpc.embedded.exporter import ALLOWED
 from wbmpc.errors import InputError
@@ -103,7 +103,7 @@ def test_without_rows_the_same_controller_runs_into_itself(tmp_path: Path) -> No
 
 
 def test_the_default_problem_of_a_robot_that_lists_pairs_passes_the_check(tmp_path: Path) -> None:
-    robot, settings = wb.load_robot("ur5"), default_settings()
+    robot, settings = wb.load_robot("ur5"), default_mpc_settings()
     mpc = make_mpc(default_problem(robot, settings), settings)
     position, orientation = robot.pose(robot.home)
     mpc.reference["end_effector"] = wb.Reference.poses([0.0], position - [0.0, 0.0, 0.3], orientation)
@@ -181,7 +181,7 @@ int main(void)
 @pytest.mark.parametrize("name", ["swerve-ur10", pytest.param("pr2", marks=thorough)])
 def test_the_header_says_how_much_stack_is_needed(name: str, tmp_path: Path) -> None:
     """Truth: what a thread writes to of a stack that is filled with a pattern, less what one takes that does nothing."""
-    robot, settings = wb.load_robot(name), default_settings()
+    robot, settings = wb.load_robot(name), default_mpc_settings()
     mpc = make_mpc(default_problem(robot, settings), settings)
     mpc.reference["end_effector"] = wb.Reference.poses([0.0], *robot.pose(robot.home))
     mpc.reset(robot.home)

@@ -263,3 +263,10 @@ def test_a_survey_before_and_after_the_drive_counts_as_one_within() -> None:
     np.testing.assert_allclose(zeros[1:], [zeros[0]] * 2, atol=1e-15)
     known = found.calibration.covariance[:4, :4].mean() ** 0.5  # 0.5 mm at both ends of 0.8 m; 1 mrad before
     assert abs(zeros[0].mean() - base.zeros.mean()) < 3.0 * known and known < 0.7e-3
+
+
+def test_a_calibration_replaces_a_link_that_is_not_to_be_followed(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").symlink_to("mine")
+    (tmp_path / "mine").write_text("mine")
+    WheelCalibration.unknown(UNEVEN).save(tmp_path / "c.yaml", NAMES, follow=False)
+    assert (tmp_path / "mine").read_text() == "mine" and "modules" in (tmp_path / "c.yaml").read_text()

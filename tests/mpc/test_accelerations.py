@@ -13,7 +13,7 @@ import wbmpc as wb
 from clearing import write_arm
 from toys import robot
 from wbmpc.bases.swerve.defaults import SwerveCost, swerve_mpc
-from wbmpc.default_problem import ACCELERATION_SHARE, default_mpc, default_problem, default_settings
+from wbmpc.default_problem import ACCELERATION_SHARE, default_mpc, default_mpc_settings, default_problem
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
@@ -89,7 +89,7 @@ def test_accelerations_are_joints_of_the_robot(tmp_path) -> None:  # type: ignor
 def test_default_plans_change_speeds_no_faster_than_the_robot_file_says(tmp_path: Path) -> None:
     """A goal far away is asked for at once. Truth: 6 rad/s² in the file, of which plans use a share."""
     robot = wb.load_robot(write_arm(tmp_path))
-    mpc = default_mpc(robot, default_settings(horizon=1.0, intervals=10))
+    mpc = default_mpc(robot, default_mpc_settings(horizon=1.0, intervals=10))
     position, turn = robot.pose(robot.home + [1.5, 0.3, -0.5])
     mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position], turn)
     x, changes = robot.home.copy(), []
@@ -117,7 +117,7 @@ def test_a_ball_robot_follows_a_clock() -> None:
 def test_plans_accelerate_wheels_no_faster_than_the_robot_file_says(name: str) -> None:
     """A base that is to go ahead and turn at once. Truth: rad/s² of the wheels in the file, by the wheels' matrix."""
     model = wb.load_robot(name)
-    mpc = default_mpc(model, default_settings(horizon=2.0, intervals=20))
+    mpc = default_mpc(model, default_mpc_settings(horizon=2.0, intervals=20))
     goal = model.home.copy()
     goal[:3] = [2.0, -0.5, 1.5]
     position, turn = model.pose(goal)

@@ -235,7 +235,7 @@ def test_settings_are_checked() -> None:
         "offset": (nan, 1e9, -1e-3, 10.0),
         "records": (0, 1.5, 1e9),
         "priority": (200, -1, 1.5, "high"),
-        "keep": ("no", 1),
+        "keep_last_policy": ("no", 1),
     }
     assert set(senseless) == {f.name for f in fields(RealTimeSettings)}
     for name, values in senseless.items():

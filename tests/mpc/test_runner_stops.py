@@ -248,6 +248,22 @@ def test_a_tick_in_which_the_process_was_held_up_is_the_last() -> None:
     )
 
 
+def test_the_command_of_a_tick_that_was_held_up_is_not_sent() -> None:
+    """By hand: the process is stopped as a whole for 0.3 s while the tick at 0.5 s makes its command; the drives have stopped meanwhile."""
+    runner = virtual()
+    command = runner.controller.command
+
+    def held_up(t: float, plans: Any) -> Any:
+        if t >= 0.5:
+            runner.clock.wait(t + 0.3)
+        return command(t, plans)
+
+    runner.controller.command = held_up  # type: ignore[method-assign]
+    runner.run(1.0)
+    assert 0.49 < runner.robot.writes[-1] < 0.5
+    assert runner.robot.stops and re.fullmatch(r"stopped at 0\.800 s: a tick .* took 0\.300 s.*", runner.state)
+
+
 def test_an_mpc_that_always_fails_leaves_its_policy_for_the_horizon() -> None:
     runner = virtual(mpc=FaultyMPC(lambda n: False if n > 10 else None))
     # the policy of the tick at 0.18 came into force at 0.1825 and was planned for 1 s

@@ -7,7 +7,7 @@ import pytest
 
 import wbmpc as wb
 from planar_driving import write_robot
-from wbmpc.default_problem import default_mpc, default_settings
+from wbmpc.default_problem import default_mpc, default_mpc_settings
 from wbmpc.errors import InputError
 from wbmpc.mpc.speed_commands import SpeedMPC, SpeedPolicy
 from wbmpc.recording.observer import end_effector_goal
@@ -24,7 +24,7 @@ def upright(tmp_path_factory: pytest.TempPathFactory) -> tuple[wb.RobotModel, Sp
     path = write_robot(tmp_path_factory.mktemp("short"), CORNERS, {"type": "omnidirectional", "rollers": "mecanum"})
     robot = wb.load_robot(path)
     stability = SupportMarginSettings(margin=MARGIN)
-    mpc = default_mpc(robot, default_settings(horizon=1.5, intervals=15), stability=stability)
+    mpc = default_mpc(robot, default_mpc_settings(horizon=1.5, intervals=15), stability=stability)
     assert isinstance(mpc, SpeedMPC)
     position, turn = robot.pose(robot.home)
     mpc.reference["end_effector"] = wb.Reference.poses([0.0], [position + [0.5, 0.0, 0.0]], turn)
@@ -71,7 +71,10 @@ def test_plans_keep_the_margin_which_others_do_not(upright: tuple[wb.RobotModel,
 def test_speeds_are_held_in_simulation(upright: tuple[wb.RobotModel, SpeedMPC]) -> None:
     """Truth: the plain MPC of the same robot."""
     robot, mpc = upright
-    plain, u = default_mpc(robot, default_settings(horizon=1.5, intervals=15)), np.linspace(0.1, 0.4, robot.input.size)
+    plain, u = (
+        default_mpc(robot, default_mpc_settings(horizon=1.5, intervals=15)),
+        np.linspace(0.1, 0.4, robot.input.size),
+    )
     for given in (u, np.array([u, -2.0 * u])):
         assert mpc.simulate(robot.home, given, 0.05) == pytest.approx(plain.simulate(robot.home, given, 0.05), abs=1e-9)
     with pytest.raises(InputError, match="inputs are needed"):
@@ -87,7 +90,7 @@ def test_a_base_goes_along_a_path_as_fast_as_its_margin_allows(upright: tuple[wb
     body, stance, margin = robot.description.base.body, StanceOf(robot), 0.065
     start = robot.pose(robot.home, body)[0]
     stability = SupportMarginSettings(margin=margin)
-    mpc = default_mpc(robot, default_settings(horizon=1.5, intervals=15), stability=stability, progress=body)
+    mpc = default_mpc(robot, default_mpc_settings(horizon=1.5, intervals=15), stability=stability, progress=body)
     assert (
         mpc.path.frame == body and end_effector_goal(mpc, 0.0, np.zeros(3)) is None
     )  # the path is not the end effector's

@@ -86,6 +86,20 @@ def test_the_estimate_goes_on_over_runs_and_gaps(robot: RobotModel) -> None:
     assert c.seen[0].time == 1.0
 
 
+@pytest.mark.parametrize("rate", [20.0, 400.0])
+def test_the_stated_deviation_of_a_way_does_not_depend_on_the_rate_of_messages(robot: RobotModel, rate: float) -> None:
+    """Straight ahead for 9 m with a heading that is known within 20 mrad. By hand: independent errors of 10 mm after each metre, and the
+    heading's, which are 0.02 of the way aside."""
+    c, far = follower(robot), 9.0
+    c.covariance = np.diag([0.0, 0.0, 0.02**2])
+    for k in range(round(far * rate) + 1):
+        c.measure(message(k / rate, k / rate / RADIUS))
+    along, aside = np.sqrt(np.diag(c.covariance)[:2])
+    assert along == pytest.approx(0.01 * np.sqrt(far), rel=0.02)
+    assert aside == pytest.approx(np.hypot(along, 0.02 * far), rel=0.02)
+    assert c.covariance[1, 2] == pytest.approx(0.02**2 * far, rel=0.02)
+
+
 def test_a_wrong_stamp_turns_nobody(robot: RobotModel) -> None:
     """A base that turns by 0.5 rad/s, as wheels and gyro say; one message is stamped 0.3 s ahead, and the next ones are right again. It
     is as uncertain as after a gap. A base that stands then does not follow its gyro."""

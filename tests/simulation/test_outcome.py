@@ -110,7 +110,7 @@ def test_every_drive_has_the_lag_that_was_drawn_for_it() -> None:
     drawn = {}
     for group, values in (
         ("wheel", plant.draw.wheel_lag),
-        ("steer", plant.draw.module_lag),
+        ("steer", plant.draw.mount_lag),
         ("arm", plant.draw.arm_lag),
     ):
         drawn |= dict(zip(plant._names[group], values, strict=True))

@@ -33,10 +33,10 @@ def test_draws_fill_their_ranges():
         "com": (span(list(d.com.values()) for d in many), (-0.01, 0.01)),
         "friction": (span(d.friction for d in many), (0.6, 0.9)),
         "radius": (span(d.radius for d in many), (0.998, 1.002)),
-        "leg": (span(d.module_offset[0] for d in many), (-0.002, 0.002)),
+        "leg": (span(d.mount_offset[0] for d in many), (-0.002, 0.002)),
         "arm": (span(d.arm_offset for d in many), (-0.002, 0.002)),
-        "steer": (span(d.module_offset[1] for d in many), (-0.003, 0.003)),
-        "lag": (span([*d.wheel_lag, *d.module_lag, *d.arm_lag] for d in many), (0.014, 0.026)),
+        "steer": (span(d.mount_offset[1] for d in many), (-0.003, 0.003)),
+        "lag": (span([*d.wheel_lag, *d.mount_lag, *d.arm_lag] for d in many), (0.014, 0.026)),
     }
     for name, ((low, high), (least, maximum)) in expected.items():
         width = maximum - least

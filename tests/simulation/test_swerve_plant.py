@@ -119,8 +119,8 @@ def test_encoders_are_quantized_with_their_offsets():
     assert np.abs(m.arm - ROBOT.home[ROBOT.state["arm"]]).max() < 1e-4
     # they are what was drawn, and nothing is drawn as zero
     for group, drawn in (
-        ("steer", p.draw.module_offset[1]),
-        ("leg", p.draw.module_offset[0]),
+        ("steer", p.draw.mount_offset[1]),
+        ("leg", p.draw.mount_offset[0]),
         ("arm", p.draw.arm_offset),
     ):
         np.testing.assert_array_equal(p.offsets[group], drawn)

@@ -252,7 +252,7 @@ def test_bad_input_is_one_message() -> None:
         leg_angles(robot("swerve-fixed-ur10"), "H")
     with pytest.raises(InputError, match="'wrench' needs 6 finite numbers"):
         STANCE(SWERVE.home, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
-    with pytest.raises(InputError, match="different modules of 0 to 3"):
+    with pytest.raises(InputError, match="different feet of 0 to 3"):
         residuals.SupportMargin(SWERVE, [(0, 1, 7)])
 
 

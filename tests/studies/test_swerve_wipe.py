@@ -20,7 +20,7 @@ from wbmpc.studies.pankert2022.wipe_figures import metrics
 from wbmpc.studies.pankert2022.wipe_plant import Wall, WipePlant
 
 ROBOT = robot("swerve-ur10")
-ORDER = Order(15.0, 3.0, 0.2, 0.02, 5000.0)
+ORDER = Order(15.0, 3.0, 0.2, 0.02, 5000.0, TIP_RADIUS, TIP_MASS)
 
 
 class Kept(WipePlant):

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from wbmpc.robots.findings import Finding
     from wbmpc.robots.mechanism import Mechanism
     from wbmpc.robots.wheel_search import Wheel
+    from wbmpc.settings import StabilitySettings
     from wbmpc.types import Edit, SimulatedRobot, Timing
 
 #: The group of a base's wheels, or of what drives it in their place, in commands and measurements: whether or not the model's state has it.
@@ -133,8 +134,9 @@ class BaseDescription(Section):
         return {}
 
     def joints(self) -> list[str]:
-        """The same names in the order of the file's section."""
-        return [name for names in self.joint_groups().values() for name in names]
+        """All names of the file's joints that belong to the base: those of the groups, then those of the wheels that are in none."""
+        grouped = [name for names in self.joint_groups().values() for name in names]
+        return [*grouped, *(name for name in self.wheel_joints() if name not in grouped)]
 
     def wheel_joints(self) -> list[str]:
         """Joints with drives whose angles are no part of the model's state."""
@@ -206,10 +208,10 @@ class Base(Protocol):
     def chain(self, x: ca.SX) -> Chain:
         """The tree of links at a state."""
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         """Pose of the body's frame in the model's world."""
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Rates of the tree's joints by link, linear and angular velocity of its root in the root's axes."""
 
     def derivative(self, x: ca.SX, u: ca.SX, w: ca.SX, m: ca.SX) -> ca.SX:
@@ -298,10 +300,12 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "plant")
 
     def mpc(
-        self, robot: RobotModel, obstacles: Obstacles | None = None, *, progress: str | None = None, **changes: Any
-    ) -> MPC:
+        self, robot: RobotModel, obstacles: Obstacles | None = None, *, stability: StabilitySettings | None = None,
+        progress: str | None = None, **changes: Any,
+    ) -> MPC:  # fmt: skip
         """The MPC with default weights, whose goal is the robot's home, and which keeps clear of ``obstacles``; ``changes``: of its
-        :class:`wbmpc.settings.MpcSettings`, by name. ``progress``: the frame that follows a path (``mpc.path``) at its own speed, in the
+        :class:`wbmpc.settings.MpcSettings`, by name. ``stability``: what keeps a robot with a footprint from tipping over.
+        ``progress``: the frame that follows a path (``mpc.path``) at its own speed, in the
         place of an end effector that follows a clock (:func:`wbmpc.path_problem`). Its references "end_effector" (poses) and, where a view
         may move the base, "state" (nx) follow the robot's task."""
         reject_missing_part(robot.description, "mpc")

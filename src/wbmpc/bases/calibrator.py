@@ -12,8 +12,8 @@ from wbmpc.arrays import Array
 class FoundCalibration(Protocol):
     """What a log shows of one robot."""
 
-    def save(self, path: Path) -> None:
-        """Write the file that runs read."""
+    def save(self, path: Path, follow: bool = True) -> None:
+        """Write the file that runs read; ``follow``: also where a link leads."""
 
     def table(self) -> dict[str, Any]:
         """The numbers, as JSON has them."""

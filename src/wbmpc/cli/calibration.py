@@ -95,7 +95,7 @@ def calibrate(
     found = calibrator.find(channels, str(file), zero_std=zero_std, radius_std=radius_std)
     if out is None:
         reject_links("--out", [target])  # one that was put there meanwhile
-    found.save(target)
+    found.save(target, follow=out is not None)
     if as_json:
         typer.echo(json.dumps({**found.table(), "file": str(target)}))
         return

@@ -108,7 +108,9 @@ def ros2_sim(
     backend: BackEnd = "auto",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the plant and of all noise.")] = 200,
     factor: Annotated[float, typer.Option(min=0.01, help="Speed of the simulation relative to real time.")] = 1.0,
-    seconds: Annotated[float, typer.Option(min=0.1, help="Simulated time after which it ends.")] = 1e9,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, show_default=False, help="Simulated time after which it ends (default: never).")
+    ] = 1e9,
     use_sim_time: SimTime = False,
     lockstep: Lockstep = False,
     fifo: Fifo = False,

@@ -163,7 +163,9 @@ def render(
     webp: Annotated[Path | None, typer.Option(help="Write an animated WebP, which is smaller than a GIF.")] = None,
     png: Annotated[Path | None, typer.Option(help="Write a picture at the time --start.")] = None,
     start: Annotated[float, typer.Option(help="Start time (seconds).")] = 0.0,
-    end: Annotated[float, typer.Option(help="End time (seconds; default: the end of the run).")] = math.inf,
+    end: Annotated[
+        float, typer.Option(show_default=False, help="End time (seconds; default: the end of the run).")
+    ] = math.inf,
     speed: Annotated[float, typer.Option(help="Speed of the clip relative to the run.")] = 1.0,
     width: Annotated[int, typer.Option(min=16, max=1920, help="Pixels.")] = 960,
     height: Annotated[int, typer.Option(min=16, max=1080, help="Pixels.")] = 540,

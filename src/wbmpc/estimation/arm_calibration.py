@@ -89,7 +89,7 @@ def _tool(robot: RobotModel, frame: str) -> Callable[[Array], tuple[Array, Array
     """Position (3) [m] of a frame in axes of the base's body by the arm's angles (m), and its derivative (3, m)."""
     q, x = ca.SX.sym("q", len(robot.input.groups["arm"])), ca.SX(ca.DM(robot.home))
     x[robot.state["arm"]] = q
-    root = robot.base.root(x)
+    root = robot.base.root_pose(x)
     place = root.rotation.T @ (robot.frame_pose(x, frame).position - root.position)
     function = ca.Function("tool", [q], [place, ca.jacobian(place, q)])
 

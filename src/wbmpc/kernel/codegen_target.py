@@ -169,11 +169,11 @@ def compile_module(ir: str, optimize: int = 0) -> bytes:
     return emit(optimized(ir, optimize) if optimize else ir)
 
 
-def optimized(ir: str, level: int, loops: bool = True) -> bytes:
-    """An LLVM module after the passes of a level, as bitcode. ``loops``: unroll and vectorize them."""
+def optimized(ir: str, level: int) -> bytes:
+    """An LLVM module after the passes of a level, as bitcode."""
     machine, module = _machine(2), parsed(ir)
     options = llvm.create_pipeline_tuning_options(speed_level=level)
-    options.loop_vectorization = options.loop_unrolling = options.loop_interleaving = loops
+    options.loop_vectorization = True
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)
     return bytes(module.as_bitcode())

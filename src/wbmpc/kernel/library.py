@@ -196,19 +196,13 @@ class Library:
 
     ``packages``: folders and files of wbmpc whose source, with that of the folders of the library's own functions, decides whether a cached build is
     valid; empty: no cache. ``modules`` are imported first, so that the library is complete whichever function is called first. ``uses``: other
-    libraries, whose functions its own ones may call (without vectors). ``loops``: unroll and vectorize them; without, code with many short
-    loops is compiled in two thirds of the time.
+    libraries, whose functions its own ones may call (without vectors).
     """
 
     def __init__(
-        self,
-        name: str,
-        packages: tuple[str, ...] = (),
-        modules: tuple[str, ...] = (),
-        uses: tuple[Library, ...] = (),
-        loops: bool = True,
+        self, name: str, packages: tuple[str, ...] = (), modules: tuple[str, ...] = (), uses: tuple[Library, ...] = ()
     ) -> None:
-        self.name, self.packages, self.modules, self.uses, self.loops = name, packages, modules, uses, loops
+        self.name, self.packages, self.modules, self.uses = name, packages, modules, uses
         self.functions: list[Function[..., Any]] = []
         self._engine: Any = None
         self._lock: Any = threading.RLock()
@@ -270,7 +264,7 @@ class Library:
         found = cache.load(key, target=target_text()) if key else None
         if found is not None:
             return found[0]
-        code = optimized(self.source(), 2, self.loops)
+        code = optimized(self.source(), 2)
         if key:
             cache.save(key, code, {"library": self.name, "target": target_text()})
         return code

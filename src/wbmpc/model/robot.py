@@ -100,6 +100,15 @@ class RobotModel:
                 "position and quaternion), or another name for coordinates that are none"
             )
 
+    def _sized(self, what: str, values: Array, layout: Layout, names: str) -> Array:
+        """``values`` of the base, which have a number for each name of a ``layout``."""
+        if np.shape(values) != (layout.size,):
+            raise InputError(
+                f"base type '{self.description.base.type}': '{what}' has the shape {np.shape(values)}; "
+                f"valid: ({layout.size},), a number for each name of '{names}'"
+            )
+        return values
+
     def _check_home(self) -> None:
         for group, names in self.state.groups.items():
             for i, name in enumerate(names, start=self.state[group].start):
@@ -129,12 +138,17 @@ class RobotModel:
     @cached_property
     def home(self) -> Array:
         """State (nx) with the joints of the description's home."""
-        return self.base.home(self)
+        return self._sized("home", self.base.home(self), self.state, "state")
 
     @cached_property
     def limits(self) -> Limits:
         """Bounds of state and input."""
-        return self.base.limits(self.description)
+        limits = self.base.limits(self.description)
+        for name in ("state_lower", "state_upper"):
+            self._sized(f"limits.{name}", getattr(limits, name), self.state, "state")
+        for name in ("input_lower", "input_upper", "input_rate", "actuator_upper"):
+            self._sized(f"limits.{name}", getattr(limits, name), self.input, "input")
+        return limits
 
     @cached_property
     def inertial_unit(self) -> Array:
@@ -158,7 +172,7 @@ class RobotModel:
 
     def frame_velocity(self, x: ca.SX, u: ca.SX, frame: str) -> tuple[ca.SX, ca.SX]:
         """Linear [m/s] and angular [rad/s] velocity (3 each) of a frame, world axes."""
-        rates, linear, angular = self.base.motion(x, u)
+        rates, linear, angular = self.base.velocities(x, u)
         return self.base.chain(x).frame_velocity(self._frame(frame), rates, linear, angular)  # type: ignore[no-any-return]
 
     # ------------------------------------------------------------------ numeric

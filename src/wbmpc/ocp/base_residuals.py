@@ -122,7 +122,7 @@ class SupportMargin:
     def __post_init__(self) -> None:
         supports = [None] if self.supports is None else list(self.supports)
         if not supports:
-            raise InputError("support margin: supports must name at least one group of modules")
+            raise InputError("support margin: supports must name at least one group of feet")
         polygons = tuple(counter_clockwise(self.robot, feet) for feet in supports)
         groups, start = {}, 0
         for feet in polygons:

@@ -14,7 +14,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, Node
 from wbmpc.ros2.convert import header, planar, pose, read_pose, read_vector, seconds, vector
-from wbmpc.ros2.joints import SPEED_FACTOR, SPEED_REST, JointSample
+from wbmpc.ros2.joints import SPEED_FACTOR, SPEED_REST, JointSample, Waited
 
 #: Between two messages the way goes on with the speed of the last one for so long [s] at most.
 HELD = 0.1
@@ -44,6 +44,7 @@ class BaseWay:
         fastest = np.maximum(np.abs(limits.input_lower[speeds]), np.abs(limits.input_upper[speeds]))
         self._fastest = np.abs(self._twist) @ fastest  # in each direction of the frame [m/s, m/s, rad/s]
         self._seen: _Seen | None = None
+        self._waited = Waited()
 
     def read(self, message: Any, now: float) -> None:
         """Take in a message that came ``now`` [s]. One from before the last, or farther from it than the base can move, is an error."""
@@ -55,8 +56,9 @@ class BaseWay:
         way = np.zeros(len(self._inverse)) if last is None else last.way
         speeds = self._inverse @ [linear[0], linear[1], angular[2]]
         if last is not None and last.pose is not None:
-            # a stamp far ahead is no time in which a base could move
-            passed = min(stamp - last.stamp, max(now - last.came, 0.0) + HELD)
+            # a stamp far ahead is no time in which a base could move, but for a message that has waited
+            came = self._waited.interval(max(now - last.came, 0.0), stamp - last.stamp)
+            passed = min(stamp - last.stamp, came + HELD)
             turn = 0.5 * float(self._twist[2] @ (last.speeds + speeds)) * passed
             moved = _arc(last.pose, at, turn)
             if np.any(np.abs(moved) > SPEED_FACTOR * self._fastest * passed + SPEED_REST):

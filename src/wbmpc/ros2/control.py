@@ -114,6 +114,7 @@ class ControlNode:
 
     def step(self) -> None:
         """One look: goals, start and stop, messages."""
+        self.request_queue.look()
         self.node.work()
         self.tuning.update()
         self._supervise()
@@ -278,7 +279,7 @@ class ControlNode:
             self.adapter.push(wrench)
         runner = self.runner
         policy = runner.plans.current if runner is not None and self.running else None
-        if policy is not None:
+        if runner is not None and policy is not None and not runner.overdue:
             self.trajectories.send(policy, self.clock.now(), self.now)
 
     def set_task(self, task: Task, references: References) -> None:
@@ -287,6 +288,7 @@ class ControlNode:
 
     def start(self, x: np.ndarray, task: Task, references: References) -> None:
         self._end_runner()
+        self.request_queue.look_away()
         settings, adapter, watchdog = self.settings, self.adapter, self.settings.safety.watchdog
         adapter.begin(x)
         self.external_pose.reset()
@@ -296,7 +298,7 @@ class ControlNode:
         self._follow_sensors()  # what the sensors said meanwhile
         times = RealTimeSettings(
             settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=watchdog,
-            watchdog=settings.held_up, records=_RECORDS, keep=adapter.must_keep_running, priority=control_priority(),
+            watchdog=settings.held_up, records=_RECORDS, keep_last_policy=adapter.must_keep_running, priority=control_priority(),
             offset=MPC_OFFSET * self.period,
         )  # fmt: skip
         self.runner = RealTimeRunner(

@@ -28,6 +28,9 @@ OVERTAKEN = 0.02
 #: A message that jumps is a fault of its own if the next one is farther from it than this [rad]; else both say the truth.
 _AGREE = 0.3
 
+#: Messages whose arrivals are apart by less than this share of what their stamps are apart have waited; without messages for longer than
+#: the other one [s] others may be waiting, for at most so long [s].
+AT_ONCE, SILENCE, _LONGEST = 0.2, 0.1, 60.0
 #: Joint states that come so much [s] after their stamps leave a robot that balances no margin, once that has lasted for so long [s].
 LATE, LASTS = 0.03, 0.1
 #: Drives with commands above this [rad/s or m/s] turn some encoder within this time [s].
@@ -165,6 +168,22 @@ class JointReader:
                 f"joint states: '{self.names[k]}' jumped by {moved[k]:.3g} {self._units[k]} in {1e3 * interval:.3g} ms, "
                 "faster than it can move"
             )
+
+
+class Waited:
+    """How long messages of one publisher have waited in a process, or on a bus, that was held up: those that come at once after a silence
+    are as far apart as their stamps say, as far as the silence has room for that. Else a stamp is no time: clocks are set."""
+
+    def __init__(self) -> None:
+        self._room = 0.0
+
+    def interval(self, arrivals: float, stamps: float) -> float:
+        """Time [s] between two messages whose arrivals and stamps are so far apart [s]: by their arrivals, where the second one has waited
+        by their stamps."""
+        waited = 0.0 <= arrivals < AT_ONCE * stamps and 0.0 < self._room >= stamps - arrivals - SILENCE
+        if waited or arrivals > SILENCE:
+            self._room = min(max(self._room + arrivals - max(stamps, 0.0), 0.0), _LONGEST)
+        return stamps if waited else arrivals
 
 
 class Standstill:

@@ -29,6 +29,8 @@ _MAX_POINTS = 20_000
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 #: A path begins within this time [s], or its stamps are of another clock.
 _LATEST = 60.0
+#: So long [s] after a process that was held up goes on messages that waited come.
+_WAITED = 0.1
 #: So far [m] under the floor or over the base's own height a goal of the base is still one: localizations in space are not exact.
 _OFF_FLOOR = 0.5
 
@@ -48,7 +50,7 @@ class RequestQueue:
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
-        self._twist_at = -np.inf
+        self._twist_at, self._looked, self._fresh_from = -np.inf, np.inf, -np.inf
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
@@ -71,6 +73,17 @@ class RequestQueue:
                 )
 
     # ------------------------------------------------------------------ taken up
+    def look(self) -> None:
+        """To be called at every step: speeds that come while it is not are not of now."""
+        now = self.now()
+        if now - self._looked > self.settings.safety.cmd_vel:
+            self._fresh_from = now + _WAITED
+        self._looked = now
+
+    def look_away(self) -> None:
+        """What the node does now may take long, and is no reason to miss speeds; until the next :meth:`look`."""
+        self._looked = np.inf
+
     def take(self) -> Request | None:
         """The newest request, once."""
         if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
@@ -188,6 +201,8 @@ class RequestQueue:
         over = float(np.max(np.abs(target) / self._fastest))
         previous, self._twist_at = self._twist_at, self.now()
         pause = self.settings.safety.cmd_vel
+        if np.any(target) and (self._twist_at - self._looked > pause or self._twist_at < self._fresh_from):
+            raise InputError("the speed is not of now: it came while the node was held up")
         self._latched = self._latched and bool(np.any(target)) and self._twist_at - previous <= pause
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")

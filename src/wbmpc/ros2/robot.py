@@ -305,13 +305,13 @@ class BusRobot:
     def unread(self) -> Iterator[Any]:
         """Measurements of the joint states that came since the last ones that were read, oldest first: a robot that stands follows what
         others do with the robot. They are thinned out; nothing that the inertial unit said is lost by that."""
-        last = -np.inf
+        last = stamp = -np.inf
         for left in range(len(self._waiting) - 1, -1, -1):
             sample, arrival = self._waiting.popleft()
             at = self._when(sample, arrival)
-            if left and 0.0 <= at - last < _STANDING:
+            if left and 0.0 <= at - last < _STANDING and sample.stamp - stamp < _STANDING:  # what waited comes at once
                 continue
-            last = at
+            last, stamp = at, sample.stamp
             yield self._measurement(sample, arrival, self._inertial.averaged(sample.stamp))
 
     def _measurement(self, sample: JointSample, arrival: float, imu: Inertial | None) -> Any:
@@ -344,8 +344,9 @@ class BusRobot:
         """
         now, ramp = time.perf_counter(), self.settings.safety.ramp
         if self._stopping is None:
-            # who has sent nothing for so long has no robot to brake: its drives have stopped by themselves
-            self._stopping = now if now - self._written <= ramp else now - ramp
+            # from the last command on: to who has sent nothing for long the drives have stopped by themselves, but in lockstep they wait
+            waits = self.settings.lockstep and now - self._written < self.settings.patience
+            self._stopping = now if waits else max(self._written, now - ramp)
         if now - self._stopping > ramp + ZEROS and not self._armed:
             return
         left = max(1.0 - (now - self._stopping) / ramp, 0.0) if ramp > 0.0 else 0.0

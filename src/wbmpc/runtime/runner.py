@@ -267,6 +267,8 @@ class RealTimeRunner(StopControl):
         if self._stopped.is_set() or self._ended.is_set():  # from another thread, while this tick hung
             return
         over(now())
+        # the drives of a process that was held up until now have stopped by themselves: what was right before sets them going again
+        check_held_up(0.0, now() - self._beat, self.settings.watchdog)
         self.robot.write(command)
         over(now())
         self.own.sample("sent", self.punctuality.sent())
@@ -298,8 +300,8 @@ class RealTimeRunner(StopControl):
             self._without_mpc(f"the MPC's process has ended with exit code {self._process.exitcode}")
 
     def _without_mpc(self, reason: str) -> None:
-        """No new policies: a stop, or with ``keep`` a robot that goes on with the last one, which is said once."""
-        if not self.settings.keep or self.plans.current is None:
+        """No new policies: a stop, or with ``keep_last_policy`` a robot that goes on with the last one, which is said once."""
+        if not self.settings.keep_last_policy or self.plans.current is None:
             raise SafeStop(reason)
         if not self.kept:
             self.kept = reason

@@ -32,7 +32,7 @@ class RealTimeSettings:
     from observation to finished policy, plus ``margin`` [s], in whole ticks, at most ``max_latency`` [s]. ``offset`` [s]: by how much
     the MPC's ticks follow the controller's (left out: a fifth of the controller's period). ``records``: samples kept of each figure.
     ``priority`` of the control thread in the kernel's real-time class (0: as the process).
-    ``keep``: an MPC that fails or is late does not stop the robot, for one that balances would fall: its controller goes on with
+    ``keep_last_policy``: an MPC that fails or is late does not stop the robot, for one that balances would fall: its controller goes on with
     the last policy.
     """
 
@@ -48,7 +48,7 @@ class RealTimeSettings:
     offset: float | None = None
     records: int = 100_000
     priority: int = 0
-    keep: bool = False
+    keep_last_policy: bool = False
 
     def __post_init__(self) -> None:
         above = "a number above 0 and at most 1e6"
@@ -66,8 +66,8 @@ class RealTimeSettings:
             self._check(
                 "offset", Real, lambda v: 0.0 <= v < self.patience, "a number from 0 to below patience, or left out"
             )
-        if not isinstance(self.keep, bool):
-            raise InputError(f"real time: keep must be True or False, got {self.keep!r}")
+        if not isinstance(self.keep_last_policy, bool):
+            raise InputError(f"real time: keep_last_policy must be True or False, got {self.keep_last_policy!r}")
 
     def _check(self, name: str, kind: type, allowed: Callable[[Any], bool], valid: str) -> None:
         """Raise :class:`InputError` unless the field is such a number; neither nan nor a truth value is one."""

@@ -56,6 +56,11 @@ class StopControl:
         #: set before the tick asks whether it may run
         self.ticking = False
 
+    @property
+    def overdue(self) -> bool:
+        """Whether a tick has been due for longer than the watchdog waits: of a process that was held up other threads may go on first."""
+        return self.clock.now() - self._beat > self.settings.watchdog
+
     def halt(self, reason: str, error: BaseException | None = None) -> None:
         """Stop the robot for good; the first reason stays. May be called from any thread."""
         with self._halt_lock:

@@ -74,7 +74,7 @@ class ArmPlant(WorldAccess):
 
     # ------------------------------------------------------------------ building
     def make_world(self, seed: int, wheels: int, edit: Edit | None, speeds: Mapping[str, float]) -> None:
-        """The perturbed world with all ``_names``: :meth:`build` says what is in it. ``wheels``: modules or wheels with errors of their own;
+        """The perturbed world with all ``_names``: :meth:`build` says what is in it. ``wheels``: how many have errors of their own;
         ``speeds`` [rad/s] of drives by joint, where they are limited."""
         draw_rng, self._noise = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         spec = load_spec(self.description, meshes=True)

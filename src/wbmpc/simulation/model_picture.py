@@ -23,7 +23,7 @@ class ModelPicture:
     def __init__(self, robot: RobotModel, edit: Edit | None = None) -> None:
         self.robot, self._edit = robot, edit
         s = ca.SX.sym("x", robot.state.size)
-        root = robot.base.root(s)
+        root = robot.base.root_pose(s)
         self._root = Numeric(ca.Function("root", [s], [root.position, root.quaternion]))
         self._shown: list[tuple[int, int]] = []
 

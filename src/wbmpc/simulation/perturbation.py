@@ -91,12 +91,12 @@ class Perturbation(BaseModel):
         zero = {name: 0 for name, info in cls.model_fields.items() if not isinstance(info.default, BaseModel | str)}
         return cls(**{**zero, **left, **changes})
 
-    def module_offsets(self) -> tuple[float, float]:
+    def mount_offsets(self) -> tuple[float, float]:
         """Spreads [rad] of the zero errors of two encoders of each wheel, where a base type has such."""
         return self.joint_offset, 0.0
 
     def draw(self, rng: np.random.Generator, bodies: Collection[str], wheels: int, arm: int) -> PlantSample:
-        """One plant: numbers for the named bodies, ``wheels`` driven wheels (modules) and ``arm`` joints.
+        """One plant: numbers for the named bodies, ``wheels`` driven wheels and ``arm`` joints.
 
         A spread that a base type's model does not have is 0, and its numbers are drawn nevertheless: what one seed draws of the others does
         not depend on the base type."""
@@ -114,10 +114,10 @@ class Perturbation(BaseModel):
             com={name: around("com_offset", 3) for name in bodies},
             friction=float(rng.uniform(*self.friction)),
             radius=(1.0 + around("wheel_radius")) * (1.0 + around("wheel_radius_each", wheels)),
-            module_offset=np.array([rng.uniform(-half, half, wheels) for half in self.module_offsets()]),
+            mount_offset=np.array([rng.uniform(-half, half, wheels) for half in self.mount_offsets()]),
             arm_offset=around("joint_offset", arm),
             wheel_lag=lag(wheels),
-            module_lag=lag(wheels),
+            mount_lag=lag(wheels),
             arm_lag=lag(arm),
             gyro_bias=around("gyro_bias", 3),
             accel_bias=around("accel_bias", 3),
@@ -186,8 +186,8 @@ def perturbation_model(base_type_name: str) -> type[Perturbation]:
 @dataclass(frozen=True)
 class PlantSample:
     """The numbers of one plant: factors by body, shifts (3) [m] of centers of mass in the body's frame, and the rest
-    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``module_offset`` (2, n) [rad] and
-    ``module_lag`` (n): of two encoders and a drive that carry or turn each of n wheels, where there are such; ``downhill`` [rad]: the
+    as in :class:`Perturbation`, one entry per wheel or arm joint; lags are time constants [s]; ``mount_offset`` (2, n) [rad] and
+    ``mount_lag`` (n): of two encoders and a drive that carry or turn each of n wheels, where there are such; ``downhill`` [rad]: the
     direction in which a slope falls."""
 
     mass: dict[str, float]
@@ -195,10 +195,10 @@ class PlantSample:
     com: dict[str, Array]
     friction: float
     radius: Array
-    module_offset: Array
+    mount_offset: Array
     arm_offset: Array
     wheel_lag: Array
-    module_lag: Array
+    mount_lag: Array
     arm_lag: Array
     gyro_bias: Array
     accel_bias: Array

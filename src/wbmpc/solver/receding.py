@@ -244,7 +244,7 @@ def shift_numbers(m: Floats, o: Integers, numbers: int, k: int, i: int, a: float
 def shift_rows(m: Floats, o: Integers, delta: float) -> None:
     """Move slacks and multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then.
 
-    Where multiplier rows are among them all stay: those that contradict limits are told by multipliers that grow at their nodes."""
+    Where multiplier rows are among them all stay: contradictory limits show in multipliers that grow at their nodes."""
     n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
     _, boxes, general = node_rows(o, 0)
     for r in range(boxes + general):

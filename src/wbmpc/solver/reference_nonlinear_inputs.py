@@ -9,11 +9,10 @@ import numpy as np
 
 from wbmpc.model.numeric import Numeric
 from wbmpc.ocp import Transcription
+from wbmpc.solver.nonlinear_input_constraints import CORRECTIONS, INSIDE, MIN_SHARE
 
 if TYPE_CHECKING:
     from wbmpc.solver.reference_inequalities import RowState
-
-CORRECTIONS, INSIDE, MIN_SHARE = 30, 1e-6, 0.1
 
 
 def curvature(

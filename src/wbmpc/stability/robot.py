@@ -50,7 +50,7 @@ class Support:
         self.robot, self.x = robot, x
         self.base: Base = robot.base
         footprint = standing(robot)
-        root = self.base.root(x)
+        root = self.base.root_pose(x)
         self._ground = root.position
         above = ca.vertcat(0.0, 0.0, root.position[2])
         chain = self.base.chain(x)
@@ -100,7 +100,7 @@ class Support:
     ) -> tuple[ca.SX, ca.SX]:
         """Gravity and inertia by a Newton-Euler recursion: a quarter of the operations of differentiating the momentum."""
         u, x_rate, u_rate = motion
-        rates, linear, angular = self.base.motion(self.x, u)
+        rates, linear, angular = self.base.velocities(self.x, u)
         links = list(rates)
         every, change = ca.vertcat(self.x, u), ca.vertcat(x_rate, u_rate)
         now = ca.vertcat(linear, angular, *rates.values())
@@ -172,10 +172,10 @@ def counter_clockwise(robot: RobotModel, feet: Feet | None = None) -> tuple[int,
         return tuple(hull(points))
     chosen = list(feet)
     if len(set(chosen)) < 3 or not set(chosen) <= set(range(len(points))):
-        raise InputError(f"feet: at least 3 different modules of 0 to {len(points) - 1} are needed, got {tuple(feet)}")
+        raise InputError(f"feet: at least 3 different feet of 0 to {len(points) - 1} are needed, got {tuple(feet)}")
     order = hull(points[chosen])
     if len(order) < len(chosen):
-        raise InputError(f"feet: at the robot's home the modules {tuple(feet)} are not the corners of a convex polygon")
+        raise InputError(f"feet: at the robot's home the feet {tuple(feet)} are not the corners of a convex polygon")
     return tuple(chosen[i] for i in order)
 
 

@@ -60,7 +60,7 @@ def _searched(robot: RobotModel, half_width: float) -> Array:
 
     rng = np.random.default_rng(0)
     starts = [home, lower, upper, *rng.uniform(lower, upper, (STARTS - 3, home.size))]
-    best = max((_climbed(score, start, lower, upper) for start in starts), key=score)
+    best = max((climbed(score, start, lower, upper) for start in starts), key=score)
     if beyond(geometry, best, half_width) > 0.0:
         raise InputError(
             f"{robot.description.name}: no stance of its legs, apart from each other, is within {half_width:g} m of the body's axis"
@@ -68,13 +68,20 @@ def _searched(robot: RobotModel, half_width: float) -> Array:
     return best
 
 
-def _climbed(score: Callable[[Array], float], start: Array, lower: Array, upper: Array) -> Array:
-    """The legs (n) where no other place of a single leg scores better."""
+def climbed(
+    score: Callable[[Array], float],
+    start: Array,
+    lower: Array,
+    upper: Array,
+    places: int = PLACES,
+    rounds: int = ROUNDS,
+) -> Array:
+    """The legs (n) where no other place of a single leg scores better, of ``places`` in its range, after ``rounds`` over all at most."""
     leg, value = start.copy(), score(start)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         before = value
         for i in range(leg.size):
-            for place in np.linspace(lower[i], upper[i], PLACES):
+            for place in np.linspace(lower[i], upper[i], places):
                 other = leg.copy()
                 other[i] = place
                 if (found := score(other)) > value:

@@ -22,10 +22,11 @@ _READ = {"m": (1e3, "mm"), "rad": (np.degrees(1.0), "°"), "rad/s": (np.degrees(
 
 class JointRecord:
     """Records the joints of one closed loop in ``log`` and draws them: planned states, joint speeds, drive forces and the plan's
-    violation of constraints, beside the loop's own "state" and "input"."""
+    violation of constraints, beside the loop's own "state" and "input". ``run``: begins the channels' names where a log has several
+    loops, as "tour."."""
 
-    def __init__(self, log: Log, robot: RobotModel, system: System) -> None:
-        self._log, self._robot, self._mpc = log, robot, system.mpc
+    def __init__(self, log: Log, robot: RobotModel, system: System, run: str = "") -> None:
+        self._log, self._robot, self._mpc, self._run = log, robot, system.mpc, run
         self._data = system.plant.data if system.plant.has_physics else None
         own, layout = robot.state, system.mpc.dynamics.state
         self._own = np.concatenate([np.arange(layout.size)[layout[group]] for group in own.groups])
@@ -48,20 +49,30 @@ class JointRecord:
             ("joint_speed", self._named, [rate_unit(unit) for unit in positions]),
             ("drive_force", driven, [self._force_units[n] for n in driven]),
         ):  # fmt: skip
-            log.label(channel, names, units)
+            log.label(run + channel, names, units)
 
     def tick(self, t: float, truth: Truth, plans: Any) -> None:
         """Record time t [s]."""
-        if "state" not in self._log.names:  # with the model alone it is that of the planner's dynamics
+        if f"{self._run}state" not in self._log.names:  # with the model alone it is that of the planner's dynamics
             whole = self._mpc.dynamics.state
             layout = whole if truth.state.size == whole.size else self._robot.state
-            self._log.label("state", layout.names, layout.units)
-        self._log.add("state_planned", t, plans.current.state(t)[self._own])
-        self._log.add("plan_violation", t, self._mpc.solve_info["violation"])
+            self._log.label(f"{self._run}state", layout.names, layout.units)
+        self._add("state_planned", t, plans.current.state(t)[self._own])
+        self._add("plan_violation", t, self._mpc.solve_info["violation"])
         if self._named and set(self._named) <= truth.joint_speeds.keys():
-            self._log.add("joint_speed", t, [truth.joint_speeds[name] for name in self._named])
+            self._add("joint_speed", t, [truth.joint_speeds[name] for name in self._named])
         if self._data is not None and self._driven:
-            self._log.add("drive_force", t, self._data.qfrc_actuator[list(self._driven.values())])
+            self._add("drive_force", t, self._data.qfrc_actuator[list(self._driven.values())])
+
+    def _add(self, channel: str, t: float, row: Any) -> None:
+        self._log.add(self._run + channel, t, row)
+
+    def _rows(self, channel: str) -> tuple[Array, Array]:
+        """Times (k) [s] and rows (k, n) of one of the loop's channels."""
+        return self._log.times(self._run + channel), self._log.array(self._run + channel)
+
+    def _has(self, channel: str) -> bool:
+        return self._run + channel in self._log.channels
 
     # ------------------------------------------------------------------ plots
     def plots(self) -> list[Plot]:
@@ -69,8 +80,8 @@ class JointRecord:
         return [*self._inputs(), *self._positions(), *self._forces(), *self._violations()]
 
     def _inputs(self) -> list[Plot]:
-        log, layout = self._log, self._mpc.dynamics.input
-        t, u, limits = log.times("input"), log.array("input"), self._robot.limits
+        layout, limits = self._mpc.dynamics.input, self._robot.limits
+        t, u = self._rows("input")
         own, plots = layout == self._robot.input, []
         for group, names in layout.groups.items():
             bounds = list(zip(limits.input_lower, limits.input_upper, strict=True)) if own else None
@@ -90,13 +101,12 @@ class JointRecord:
         return plots
 
     def _actual_speeds(self, names: Sequence[str]) -> Mapping[str, Array]:
-        if "joint_speed" not in self._log.channels:
+        if not self._has("joint_speed"):
             return {}
-        return {n: y for n, y in zip(self._named, self._log.array("joint_speed").T, strict=True) if n in names}
+        return {n: y for n, y in zip(self._named, self._rows("joint_speed")[1].T, strict=True) if n in names}
 
     def _positions(self) -> list[Plot]:
-        log, limits = self._log, self._robot.limits
-        t, planned = log.times("state_planned"), log.array("state_planned")
+        limits, (t, planned) = self._robot.limits, self._rows("state_planned")
         state, plots = self._state(t, planned.shape[1]), []
         for group, names in self._groups.items():
             start = self._robot.state[group].start
@@ -111,13 +121,15 @@ class JointRecord:
 
     def _state(self, t: Array, width: int) -> Array:
         """The robot's own state (n, width) at times t (n), which may be recorded more often than what was planned."""
-        rows = self._log.array("state")[np.searchsorted(self._log.times("state"), t - 1e-9)]
+        times, rows = self._rows("state")
+        rows = rows[np.searchsorted(times, t - 1e-9)]
         return rows if rows.shape[1] == width else rows[:, self._own]
 
     def _forces(self) -> list[Plot]:
-        if "drive_force" not in self._log.channels:
+        if not self._has("drive_force"):
             return []
-        t, rows = self._log.times("drive_force"), dict(zip(self._driven, self._log.array("drive_force").T, strict=True))
+        t, forces = self._rows("drive_force")
+        rows = dict(zip(self._driven, forces.T, strict=True))
         effort, description = self._robot.description.limits.effort, self._robot.description
         groups = {"arm": description.arm.joints, **description.base.joint_groups()}
         plots = []
@@ -131,8 +143,7 @@ class JointRecord:
         return plots
 
     def _violations(self) -> list[Plot]:
-        log, limits = self._log, self._robot.limits
-        t, planned = log.times("state_planned"), log.array("state_planned")
+        limits, (t, planned) = self._robot.limits, self._rows("state_planned")
         state = self._state(t, planned.shape[1])
         plots = []
         for unit, places in by_unit(self._robot.state.units).items():
@@ -144,7 +155,7 @@ class JointRecord:
                     for name, rows in (("state", state), ("state, planned", planned))
                 ]
                 plots.append(Plot("Outside of the joints' limits", "time [s]", with_unit("largest", shown), lines))
-        violation = Series("constraints of the plan", t, log.array("plan_violation"))
+        violation = Series("constraints of the plan", t, self._rows("plan_violation")[1])
         return [*plots, Plot("Violation of the plan's constraints", "time [s]", "1-norm", [violation])]
 
 

@@ -89,7 +89,7 @@ def closed_loop(
     metrics: Callable[[Log], dict[str, Metric]] | None = None, plots: Callable[[Log], Sequence[Plot]] | None = None,
     scene: Sequence[SceneObstacle] | None = None, perception: PerceptionSettings | None = None,
     truth: Callable[[float, Truth], None] | None = None,
-    paced: bool = False, alternatives: bool = False, done: Callable[[], bool] | None = None,
+    paced: bool = False, alternatives: bool = False, done: Callable[[], bool] | None = None, reshape: bool = True,
 ) -> Scenario:  # fmt: skip
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home; ``seed`` of all random numbers.
 
@@ -101,7 +101,8 @@ def closed_loop(
     sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
     (:class:`wbmpc.mpc.reference_pacing.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
     (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance, and has as much more time as another
-    way takes. ``done()``, asked at every controller period: whether the task is done before its time. The references of ``mpc`` are the
+    way takes. ``done()``, asked at every controller period: whether the task is done before its time. ``reshape``: whether legs stand wider
+    where the arm pulls (of a base whose legs move, with the constraints "stability"). The references of ``mpc`` are the
     task; times begin with the loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
@@ -113,7 +114,7 @@ def closed_loop(
     perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
     pace = PacedReferences(mpc) if paced and around and not mpc.path.active else None
     kind = base_type(robot.description.base.type)
-    reshaping = kind.reshaping(robot, mpc, system.controller) if pace else None
+    reshaping = kind.reshaping(robot, mpc, system.controller) if pace or (reshape and not around) else None
     others = Alternatives(mpc, robot, pace, reshaping) if pace and alternatives and _may_detour(robot, mpc) else None
     watch = SceneWatch(around, system, log, since, robot, pace, perceive, others, reshaping) if around else None
     over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
@@ -125,6 +126,8 @@ def closed_loop(
         over.now = t
         if tick is not None:
             tick(t)
+        if reshaping is not None and watch is None and round(t / system.timing.period) % system.timing.mpc_every == 0:
+            reshaping.update(t)
         if truth is not None:
             truth(t, system.plant.truth())
         for seen in watches:

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from wbmpc import lie
 from wbmpc.arrays import Array
-from wbmpc.default_problem import default_problem, default_settings, keep_clear, make_mpc, stay_at_home
+from wbmpc.default_problem import default_mpc_settings, default_problem, keep_clear, make_mpc, stay_at_home
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
@@ -58,7 +58,7 @@ def grasp_of(robot: RobotModel) -> ca.Function:
 def holding_mpc(settings: TwoArmsSettings, robot: RobotModel) -> MPC:
     """The default MPC with an equality: the second end effector moves with the first, as they are at home."""
     changes: dict[str, Any] = {name: value for name, value in settings.mpc.model_dump().items() if value is not None}
-    chosen, (first, second, *_) = default_settings(**changes), robot.tools.values()
+    chosen, (first, second, *_) = default_mpc_settings(**changes), robot.tools.values()
     obstacles = None if settings.obstacles is None else Obstacles()
     ocp = keep_clear(default_problem(robot, chosen), robot, obstacles)
     ocp.add(Constraint("grasp", residuals.RelativeMotion(robot, first, second), softness=SOFTNESS))

@@ -93,7 +93,7 @@ def runner_of(robot_name: str, seed: int, view: RealtimeView) -> tuple[RealTimeR
     # the physics says itself when it is held up, and earlier
     times = RealTimeSettings(
         1.0 / system.timing.period, max_policy_age=_PATIENT, max_observation_age=2.0 * _PATIENT, watchdog=_PATIENT,
-        keep=robot.base.balances,
+        keep_last_policy=robot.base.balances,
     )  # fmt: skip
     return RealTimeRunner(
         simulated, controller, mpc, times, clock, parameters=lambda: model.solver.parameters, watch=view.watch

@@ -213,7 +213,7 @@ class BallController:
 
     def _learn(self, t: float, x: np.ndarray, h: float, forwards: bool = False) -> bool:
         """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the solver has got them, as
-        is wished if this ``forwards`` them."""
+        they have to be if this ``forwards`` them."""
         observer, steps, forwarded = self.observer, self._steps, False
         assert observer is not None
         if steps is not None:

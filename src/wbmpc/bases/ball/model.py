@@ -146,11 +146,11 @@ class BallBase:
         last = sum(map(len, self.parameters.values()))
         return w[last - 1] if "payload" in self.parameters else None
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         """Pose of the base's frame, whose origin is the ball's center."""
         return self.chain(x).link_pose(4)
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Joint rates by link; the root does not move by itself."""
         return {link: x[self.nq + k] for k, link in enumerate(self._moving)}, ca.SX(3, 1), ca.SX(3, 1)
 

@@ -26,7 +26,7 @@ class BallSpin:
     groups = {"torque": slice(0, 1)}  # noqa: RUF012
 
     def __call__(self, s: Symbols) -> ca.SX:
-        up = self.robot.base.root(s.x[: ball_base(self.robot).nq]).rotation[2, :]
+        up = self.robot.base.root_pose(s.x[: ball_base(self.robot).nq]).rotation[2, :]
         return up @ ca.DM(ball_base(self.robot).wheel_torque_map()) @ s.u[self.robot.input["wheel"]]
 
 

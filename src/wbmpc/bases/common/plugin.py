@@ -74,8 +74,8 @@ class SpeedBaseType(CommonBaseType):
         progress: str | None = None, **changes: Any,
     ) -> MPC:  # fmt: skip
         """Weights that follow from the robot's size and limits."""
-        from wbmpc.default_problem import default_mpc, default_settings
+        from wbmpc.default_problem import default_mpc, default_mpc_settings
 
         return default_mpc(
-            robot, default_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
+            robot, default_mpc_settings(**changes), obstacles=obstacles, stability=stability, progress=progress
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wbmpc.default_problem import DefaultCost, default_settings
+from wbmpc.default_problem import DefaultCost, default_mpc_settings
 from wbmpc.ros2.settings import RosSettings
 from wbmpc.settings import MpcSettings
 
@@ -10,7 +10,7 @@ from wbmpc.settings import MpcSettings
 class FixedRosSettings(RosSettings):
     """``cost``: weights that scale with the robot."""
 
-    mpc: MpcSettings = default_settings()
+    mpc: MpcSettings = default_mpc_settings()
     cost: DefaultCost = DefaultCost()
 
 

@@ -43,16 +43,16 @@ class FixedBase:
         self.wheels, self.balances = 0, False
         self.ground, self.body_height = 0.0, float(position[2])
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         """Pose of the body's frame."""
         rotation = constant(lie.quaternion_to_rotation(self.quaternion))
         return FramePose(constant(self.position), constant(self.quaternion), rotation)
 
     def chain(self, x: ca.SX) -> Chain:
         """The tree at a state."""
-        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._joints)}, self.root(x))
+        return Chain(self.tree.links, {link: x[k] for k, link in enumerate(self._joints)}, self.root_pose(x))
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Joint rates by link; the root stands."""
         return {link: u[k] for k, link in enumerate(self._joints)}, ca.SX(3, 1), ca.SX(3, 1)
 

@@ -25,10 +25,6 @@ class PlanarBaseDescription(SpeedBaseDescription):
     def wheel_joints(self) -> list[str]:
         return list(self.wheels)
 
-    def joints(self) -> list[str]:
-        """The wheels: no part of the model's state, but no joint of the arm either."""
-        return self.wheel_joints()
-
     def radii(self) -> list[Radius]:
         """Of every wheel, where the section gives it."""
         radius = self.wheel_radius

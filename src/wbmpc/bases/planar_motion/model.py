@@ -126,18 +126,18 @@ class PlanarBase:
                 f"{self.rates.shape[1]} is needed; check positions, axes and rollers of the wheels"
             )
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         position = ca.vertcat(x[0], x[1], self.body_height)
         return FramePose(position, ca.sparsify(lie.quaternion_about(_UP, x[2])), rotation_about(_UP, x[2]))
 
     def chain(self, x: ca.SX) -> Chain:
         """The tree at a state, with the wheels as the file draws them."""
-        return Chain(self.tree.links, {link: x[3 + k] for k, link in enumerate(self._joints)}, self.root(x))
+        return Chain(self.tree.links, {link: x[3 + k] for k, link in enumerate(self._joints)}, self.root_pose(x))
 
     def _twist(self, u: ca.SX) -> ca.SX:
         return constant(self.twist) @ u[: self.twist.shape[1]]
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Joint rates by link, linear and angular velocity of the body in its own axes."""
         t, m = self._twist(u), self.twist.shape[1]
         rates = {link: u[m + k] for k, link in enumerate(self._joints)}

@@ -21,15 +21,17 @@ from wbmpc.ocp import Cost, OptimalControlProblem, Reference
 from wbmpc.ros2.base_adapter import Estimate, Fix, Groups, Weights, planar_estimate
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Task
-from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, by_arrivals
+from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, Waited, by_arrivals
 
 #: Without messages for longer than this [s] there is a gap; encoders that moved by more than their largest speed over it, and this
 #: [rad] besides, have restarted.
 GAP, REST = 0.1, 0.5
 #: Poses that are kept: another localization's is of the time of its stamp.
 REMEMBERED = 400
-#: Standard deviations: of the way [m over m], of a turn [rad over rad], what a gap adds [m, m, rad], of encoders that restart.
+#: Standard deviations: of the way [m after 1 m], of a turn [rad after 1 rad], what a gap adds [m, m, rad], of encoders that restart.
 SLIP, TURN, UNSEEN = 0.01, 0.02, np.array([0.02, 0.02, 0.05])
+#: A way counts from so far on [m or rad], for encoders tremble.
+COUNTS = 0.01
 #: Angles of steering joints that there are not.
 _NO_STEERING = np.zeros(0)
 
@@ -61,12 +63,18 @@ class BusController(PlanarController):
         self.covariance: Array = np.zeros((3, 3))
         self.speed: Array = np.zeros(3)
         self._was: deque[tuple[float, Array]] = deque(maxlen=REMEMBERED)  # times [s] that go on from run to run, poses
+        self._counted = self.pose.copy()  # up to where the way is in the covariance
+        self._waited, self._passed = Waited(), 0.0  # time [s] from the message before to the last one
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
-        """As the inertial unit's messages between the two say."""
+        """As the inertial unit's messages between the two say; nothing where one of them has waited, for a bias turns with a time that is
+        another one then."""
         if not (self.use_gyro and isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
             return None
-        return by_arrivals(now.turning, now.stamp - previous.stamp, now.time - previous.time)
+        arrivals, stamps = now.time - previous.time, now.stamp - previous.stamp
+        if self._passed != arrivals or 0.0 < stamps < arrivals - GAP:
+            return None
+        return by_arrivals(now.turning, stamps, arrivals)
 
     def measure(self, measurement: BusMeasurement) -> None:  # type: ignore[override]
         """Take in the message of this tick, and another localization's pose if there is a new one."""
@@ -74,7 +82,7 @@ class BusController(PlanarController):
         before, last = self.pose.copy(), self.measured
         # the runner's clock starts at zero with each run
         lasting = replace(measurement, time=measurement.time + measurement.origin)
-        interval = 0.0 if last is None else lasting.time - last.time
+        interval = self._interval(last, lasting)
         if last is not None and self._restarted(last, measurement, interval):
             self.odometry.restart()
             self.covariance = self.covariance + np.diag(UNSEEN**2)
@@ -88,6 +96,13 @@ class BusController(PlanarController):
             self._correct(fix[0] + measurement.origin, fix[1], fix[2])
         self.seen = measurement, self.pose.copy(), self.speed
 
+    def _interval(self, last: PlanarMeasurement | None, now: BusMeasurement) -> float:
+        """Time [s] from one message to the next: by their arrivals, or as long as the second one has waited."""
+        self._passed = 0.0
+        if isinstance(last, BusMeasurement):
+            self._passed = self._waited.interval(now.time - last.time, now.stamp - last.stamp)
+        return self._passed
+
     def _follow_series(self, series: Series) -> None:
         """Encoders that restart move nothing; a simulated robot that restarts is where its odometry begins."""
         known, self._series = self._series, series
@@ -99,7 +114,7 @@ class BusController(PlanarController):
         if series.simulations != known.simulations:
             self._was.clear()
             self.odometry.place(np.zeros(3))
-            self.covariance = np.zeros((3, 3))
+            self.covariance, self._counted = np.zeros((3, 3)), np.zeros(3)
 
     def _restarted(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
         upper = planar_base(self.robot).wheel_upper
@@ -108,14 +123,23 @@ class BusController(PlanarController):
 
     def _note_motion(self, before: Array, interval: float) -> None:
         moved = lie.se2_log(before, self.pose)
-        way, turn = float(np.hypot(*moved[:2])), abs(float(moved[2]))
-        spread = np.array([SLIP * way, SLIP * way, TURN * turn])
         if interval > GAP:
-            spread = spread + UNSEEN * interval
+            self.covariance = self.covariance + np.diag((UNSEEN * interval) ** 2)
         elif interval < 0.0:  # a wrong stamp, before or now, or another clock
-            spread = spread + UNSEEN
-        self.covariance = self.covariance + np.diag(spread**2)
+            self.covariance = self.covariance + np.diag(UNSEEN**2)
+        self._count_way()
         self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
+
+    def _count_way(self) -> None:
+        """What the heading is off turns the way, and errors of short ways are independent, however many messages they took."""
+        dx, dy, turn = self.pose - self._counted
+        way = float(np.hypot(dx, dy))
+        if max(way, abs(turn)) < COUNTS:
+            return
+        turned = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+        spread = np.array([SLIP**2 * way, SLIP**2 * way, TURN**2 * abs(turn)])
+        self.covariance = turned @ self.covariance @ turned.T + np.diag(spread)
+        self._counted = self.pose.copy()
 
     def _correct(self, t: float, pose: Array, covariance: Array) -> None:
         """By both covariances, where the base was at t [s]: what it has driven since stays. A pose without a covariance is exact and of
@@ -135,6 +159,7 @@ class BusController(PlanarController):
         moved = lambda p: then + [by[0], by[1], 0.0] + lie.se2_compose([0.0, 0.0, by[2]], p - then)
         self._was = deque(((t, moved(p)) for t, p in self._was), REMEMBERED)
         self.odometry.place(moved(self.pose))
+        self._counted = self.pose.copy()
 
 
 def on_bus(kind: type[PlanarController]) -> type[PlanarController]:

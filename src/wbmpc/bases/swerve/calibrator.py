@@ -41,10 +41,10 @@ class SwerveCalibration:
     fit: WheelFit
     arm: dict[str, dict[str, float]] | None
 
-    def save(self, path: Path) -> None:
-        """Write the file that runs read."""
+    def save(self, path: Path, follow: bool = True) -> None:
+        """Write the file that runs read; ``follow``: also where a link leads."""
         notes = [f"left out: {name}" for name in self._left_out()] + [f"not shown: {text}" for text in self._hidden()]
-        self.fit.calibration.save(path, self.names, notes=notes, arm=self.arm, robot=self.robot)
+        self.fit.calibration.save(path, self.names, notes=notes, arm=self.arm, robot=self.robot, follow=follow)
 
     def table(self) -> dict[str, Any]:
         """The numbers, as JSON has them."""

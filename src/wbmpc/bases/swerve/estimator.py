@@ -160,8 +160,8 @@ class SwerveEstimator:
         """Take in a message."""
         previous, self.measured = self.measured or measurement, measurement
         m = measurement
-        h = m.time - previous.time
-        turning = self.mean_rate(previous, m) if self.use_gyro else None
+        h = self.interval(previous, m)
+        turning = self.mean_rate(previous, m, h) if self.use_gyro else None
         sample = self._sample = self.wheels_alone.checked(m.leg, m.steer, m.wheel)
         self.wheels_alone.advance(sample)
         weights, known = self._wheel_weights(h, sample[0], turning), self._known
@@ -175,8 +175,12 @@ class SwerveEstimator:
             self._smooth(self._smoothing.started, h)
             self._smoothing.started = True
 
-    def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
-        """The gyro's mean yaw rate [rad/s] from one message to the next; None if it says nothing."""
+    def interval(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float:
+        """Time [s] from one message to the next."""
+        return now.time - previous.time
+
+    def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement, h: float) -> float | None:
+        """The gyro's mean yaw rate [rad/s] from one message to the next, h [s] later; None if it says nothing."""
         return 0.5 * float(previous.gyro[2] + now.gyro[2])
 
     def _wheel_weights(self, h: float, leg: Array, turning: float | None) -> Array | None:

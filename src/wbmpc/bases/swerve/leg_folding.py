@@ -1,4 +1,5 @@
-"""Legs that fold where it is narrow: as wide as the clearance along the base's reference allows, with brakes that open for it.
+"""Legs that fold where it is narrow: as wide as the clearance along the base's reference allows, with brakes that open for it. Where the arm
+pulls they stand wider (:class:`wbmpc.bases.swerve.leg_widening.LegWidening`), as far as there is room.
 
 Gradients of distances are local: a leg in front of a wall may as well fold to the wrong side. So leg angles are references that look
 ahead. At each place of the base's reference the base moves aside and turns as little as its body needs, and each leg turns from where it is
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import BRAKE_DELAY, BrakeControl
+from wbmpc.bases.swerve.leg_widening import LegWidening
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.clearance.nearest import Finder, Poses
 from wbmpc.model.robot import RobotModel
@@ -54,7 +56,8 @@ OPEN_BEFORE, OPEN_AFTER = 0.3, 0.6
 
 
 class LegFolding:
-    """References of the legs and ``brakes`` for a robot with hinged legs whose ``mpc`` keeps clear of obstacles; ``delay`` [s]: of brakes."""
+    """References of the legs and ``brakes`` for a robot with hinged legs whose ``mpc`` keeps clear of obstacles or upright; ``delay`` [s]: of
+    brakes."""
 
     def __init__(self, robot: RobotModel, mpc: MPC, delay: float = BRAKE_DELAY) -> None:
         self.robot, self._mpc = robot, mpc
@@ -76,6 +79,7 @@ class LegFolding:
         #: legs at one end of the body fold alike
         self._pair = geometry.hinge[:, 0] > 0.0
         self._rate = LEG_SPEED_SHARE * float(limits.input_upper[robot.input["leg"]].min())
+        self._widening = LegWidening(robot, mpc, self._rate)
         self._looked, self.narrow = -np.inf, False
         self._turned = np.full(geometry.modules, -np.inf)  # when each leg's reference turned last
         self._ahead: tuple[Array, Array, Array] | None = None  # times (k), shares (k, n), off (k, 2)
@@ -114,19 +118,24 @@ class LegFolding:
             self._asked = reference
         assert self._asked is not None
         world = self._mpc.obstacles
-        if t >= self._looked + REFRESH_PERIOD - 1e-9 and world is not None:
+        if t >= self._looked + REFRESH_PERIOD - 1e-9:
             self._looked = t
-            there = world.snapshot(t)
+            self._widening.look(t, t + OPEN_BEFORE)
+            there = Snapshot() if world is None else world.snapshot(t)
             still = tuple(o for o in there.obstacles if not o.velocity.any())  # who walks by is evaded or waited for
             self._plan_folding(t, Snapshot(still, there.frames), self._asked, ahead)
         times = _times(t, self._mpc.ocp.horizon + 2.0 * self._mpc.period + CHECK_INTERVAL)
-        values = np.array([self._asked.at(float(at)) for at in times])
+        values, wider = np.array([self._asked.at(float(at)) for at in times]), self._widening.offset(times)
+        values[:, self._leg] += wider
         shares, off = self._planned(times)
         values, asked = self._moved(values, off), values[:, self._leg].copy()
         values[:, self._leg] += shares * (self._narrow - asked)
         legs = self._mpc.solver.trajectory(copy=False).x[0, self._leg]
         lacks = (legs - values[0, self._leg]) * np.sign(asked[0] - self._narrow) > FOLDED
-        self._turned = np.where((np.abs(shares[1] - shares[0]) > 1e-3) | lacks, t, self._turned)
+        if self._widening.moved:
+            lacks |= np.abs(legs - values[0, self._leg]) > FOLDED
+        turns = (np.abs(shares[1] - shares[0]) > 1e-3) | (np.abs(wider[1] - wider[0]) > 1e-3)
+        self._turned = np.where(turns | lacks, t, self._turned)
         self._set = Reference(times, values)
         self._mpc.reference["state"] = self._set
 
@@ -159,7 +168,9 @@ class LegFolding:
         self._schedule(times, folded)
 
     def _along(self, reference: Reference, times: Array) -> Array:
-        return np.array([reference.at(float(at))[: self.robot.state.size] for at in times])
+        states = np.array([reference.at(float(at))[: self.robot.state.size] for at in times])
+        states[:, self._leg] += self._widening.offset(times)
+        return states
 
     def needed(self, snapshot: Snapshot, times: Array, states: Array) -> tuple[Array, Array]:
         """Of base poses in ``states`` (k, nx) at ``times`` (k) [s]: shares (k, n) of each leg's way to its narrowest angle, and how far
@@ -218,6 +229,7 @@ class LegFolding:
         """Open the brake of each leg while its reference turns."""
         turns = np.zeros(shares.shape, bool)
         turns[:-1] = np.abs(np.diff(shares, axis=0)) > 1e-3
+        turns[:-1] |= np.abs(np.diff(self._widening.offset(times), axis=0)) > 1e-3
         is_open = times[:, None] <= self._turned + OPEN_AFTER + 1e-9
         for k in np.flatnonzero(turns.any(axis=1)):
             near = (times >= times[k] - OPEN_BEFORE - 1e-9) & (times <= times[k] + OPEN_AFTER + 1e-9)

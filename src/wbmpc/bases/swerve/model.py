@@ -258,7 +258,7 @@ class SwerveBase:
             start += len(names)
         return out
 
-    def root(self, x: ca.SX) -> FramePose:
+    def root_pose(self, x: ca.SX) -> FramePose:
         if self.quaternion:
             return FramePose(x[0:3], x[3:7], lie.quaternion_to_rotation(x[3:7]))
         up = np.array([0.0, 0.0, 1.0])
@@ -268,9 +268,9 @@ class SwerveBase:
     def chain(self, x: ca.SX) -> Chain:
         """The tree at a state."""
         values = {link: x[self._start + k] for k, link in enumerate(self._joints)}
-        return Chain(self.tree.links, values, self.root(x))
+        return Chain(self.tree.links, values, self.root_pose(x))
 
-    def motion(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
+    def velocities(self, x: ca.SX, u: ca.SX) -> tuple[dict[int, ca.SX], ca.SX, ca.SX]:
         """Joint rates by link, linear and angular velocity of the body in its own axes."""
         rates = {link: u[3 + k] for k, link in enumerate(self._joints)}
         return rates, ca.vertcat(u[0], u[1], ca.SX(1, 1)), ca.vertcat(ca.SX(2, 1), u[2])
@@ -285,7 +285,7 @@ class SwerveBase:
             n = self.geometry.modules
             rates = ca.vertcat(m[0:n] * u[3 : 3 + n], u[3 + n :])
         if self.quaternion:
-            velocity = self.root(x).rotation @ ca.vertcat(u[0], u[1], ca.SX(1, 1))
+            velocity = self.root_pose(x).rotation @ ca.vertcat(u[0], u[1], ca.SX(1, 1))
             rate = ca.vertcat(ca.SX(3, 1), u[2])
             return ca.vertcat(velocity, 0.5 * lie.quaternion_multiply(x[3:7], rate), rates)
         c, s = ca.cos(x[2]), ca.sin(x[2])

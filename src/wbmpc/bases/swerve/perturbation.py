@@ -36,7 +36,7 @@ class SoundPerturbation(WheeledPerturbation):
     steer_noise: float = Field(default=0.0, ge=0, le=3.2)
     brake_delay: float = Field(default=0.10, ge=0, le=100)
 
-    def module_offsets(self) -> tuple[float, float]:
+    def mount_offsets(self) -> tuple[float, float]:
         return self.joint_offset, self.steer_offset
 
 

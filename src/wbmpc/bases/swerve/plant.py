@@ -121,7 +121,7 @@ class SwervePlant(WheeledPlant):
             if module.leg:
                 spec.joint(module.leg).damping = [SLIDE_DAMPING if module.slide else 1.0, 0, 0]
             self.drive_joint(spec, module.wheel, WHEEL_TORQUE, draw.wheel_lag[i])
-            self.drive_joint(spec, module.steer, STEER_TORQUE, draw.module_lag[i])
+            self.drive_joint(spec, module.steer, STEER_TORQUE, draw.mount_lag[i])
         self.finish(spec, edit)
         let_tires_slide(spec, [f"contact_{m.wheel}" for m in self.base.modules])
 
@@ -156,7 +156,7 @@ class SwervePlant(WheeledPlant):
         return drive_speeds(self.description) | {n: speed.get(n, np.inf) for n in self._names["arm"]}
 
     def _zero_errors(self) -> dict[str, Array]:
-        (leg, steer), n = self.draw.module_offset, len(self._names["leg"])
+        (leg, steer), n = self.draw.mount_offset, len(self._names["leg"])
         wheel = np.zeros(len(self._names["wheel"]))
         return {"leg": leg[:n], "steer": steer, "wheel": wheel, "arm": self.draw.arm_offset}
 

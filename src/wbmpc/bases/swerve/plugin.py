@@ -128,10 +128,13 @@ class SwerveBaseType(CommonBaseType):
         return vars(calibrator.fit(channels, WheelCalibration.unknown(calibrator.geometry), source).calibration)
 
     def reshaping(self, robot: RobotModel, mpc: MPC, controller: Controller) -> LegFolding | None:
-        """Hinged legs fold where it is narrow; None for fixed legs."""
+        """Hinged legs fold where it is narrow and stand wider where the arm pulls; None for fixed legs."""
         from wbmpc.bases.swerve.leg_folding import LegFolding
+        from wbmpc.obstacles.geometry import has_shapes
 
-        if "leg" not in robot.state or mpc.obstacles is None or "state" not in mpc.reference:
+        if "leg" not in robot.state or "state" not in mpc.reference:
+            return None
+        if mpc.obstacles is None and not ("stability" in mpc.ocp.terms and has_shapes(robot)):
             return None
         folding = LegFolding(robot, mpc)
         folding.attach(controller)

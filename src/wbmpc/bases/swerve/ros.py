@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from wbmpc.ros2.base_adapter import (
 )
 from wbmpc.ros2.convert import nearest_angle
 from wbmpc.ros2.goals import Planner, Task
-from wbmpc.ros2.joints import Inertial, JointSample, OnBus, Series, by_arrivals
+from wbmpc.ros2.joints import AT_ONCE, Inertial, JointSample, OnBus, Series, Waited, by_arrivals
 from wbmpc.ros2.settings import drive_groups
 from wbmpc.solver import Trajectory
 
@@ -61,10 +61,6 @@ class BusMeasurement(OnBus, SwerveMeasurement):
     """Of a bus."""
 
 
-#: Messages whose arrivals are apart by less than this share of what their stamps are apart have waited.
-AT_ONCE = 0.2
-
-
 class BusEstimator(SwerveEstimator):
     """On a bus: another localization's poses come from ``fix``, and clocks restart. ``seen``: the newest measurement with the pose
     that belongs to it, for other threads; ``placed``: whether some pose has said where the robot is."""
@@ -76,11 +72,14 @@ class BusEstimator(SwerveEstimator):
     _series: Series | None = None
     _at_once = False
 
+    def __init__(self, *args: Any, **keys: Any) -> None:
+        super().__init__(*args, **keys)
+        self._waited = Waited()
+
     def process(self, measurement: SwerveMeasurement) -> None:
         """Take in the encoders of this tick, and another localization's pose if there is a new one."""
         self._follow_series(measurement)
         self._follow_clock(measurement)
-        self._at_once = self._came_at_once(measurement)
         super().process(measurement)
         fix = self.fix() if self.fix is not None else None
         if fix is not None:
@@ -109,20 +108,23 @@ class BusEstimator(SwerveEstimator):
             self.odometry.place(np.zeros(3))
         self.placed = False  # the next pose of another localization says where it is
 
-    def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float | None:
+    def interval(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float:
+        """By their arrivals; by their stamps where the second message has waited: then the first one was so much earlier."""
+        self._at_once, arrivals = False, super().interval(previous, now)
+        if previous is now or not (isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
+            return arrivals
+        arrivals, stamps = now.time + now.origin - previous.time - previous.origin, now.stamp - previous.stamp
+        self._at_once = arrivals < AT_ONCE * stamps
+        passed = self._waited.interval(arrivals, stamps)
+        if passed != arrivals:
+            self.odometry.move_clock(arrivals - passed)
+        return passed
+
+    def mean_rate(self, previous: SwerveMeasurement, now: SwerveMeasurement, h: float) -> float | None:
         """As the inertial unit's messages between the two say."""
         if not (isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
             return None
-        arrivals = now.time + now.origin - previous.time - previous.origin
-        return by_arrivals(now.turning, now.stamp - previous.stamp, arrivals)
-
-    def _came_at_once(self, now: SwerveMeasurement) -> bool:
-        """Whether a message waited with the one before: by their arrivals wheels would have gone their way in hardly any time."""
-        previous = self.measured
-        if not (isinstance(previous, BusMeasurement) and isinstance(now, BusMeasurement)):
-            return False
-        arrivals = now.time + now.origin - previous.time - previous.origin
-        return arrivals < AT_ONCE * (now.stamp - previous.stamp)
+        return by_arrivals(now.turning, now.stamp - previous.stamp, h)
 
     def _wheel_weights(self, h: float, leg: Array, turning: float | None) -> Array | None:
         """As usual; over hardly any time no speed shows which wheels slip, and all count."""
@@ -135,6 +137,7 @@ class BusEstimator(SwerveEstimator):
         """Go on with what another one has estimated."""
         self.seen, self.odometry = other.seen, other.odometry
         self.placed, self._origin, self._series = other.placed, other._origin, other._series
+        self._waited = other._waited
 
     def correct(self, t: float, pose: Array, covariance: Array) -> None:
         """A pose without a covariance is exact; the first one says where the robot is."""

@@ -95,10 +95,10 @@ class WheelCalibration:
 
     def save(
         self, path: Path, modules: list[str], notes: Sequence[str] = (),
-        arm: Mapping[str, Mapping[str, float]] | None = None, robot: str = "",
+        arm: Mapping[str, Mapping[str, float]] | None = None, robot: str = "", follow: bool = True,
     ) -> None:  # fmt: skip
         """Write a YAML file with one entry for each of the named modules (their steer joints), ``notes`` as comments, what is known
-        of the ``arm`` by its joints, and the ``robot``'s name."""
+        of the ``arm`` by its joints, and the ``robot``'s name; ``follow``: also where a link leads."""
         std = self.std
         rows = {
             name: {
@@ -117,7 +117,7 @@ class WheelCalibration:
         tail = "# Correlation of what is left of the zeros, then of the radii, modules as above: what is known better together.\n"
         tail += yaml.safe_dump({"correlation": correlation.tolist()}, default_flow_style=None, width=2**31)
         data = {**({"robot": robot} if robot else {}), "modules": rows, **({"arm": arm} if arm else {})}
-        write_text(path, head + yaml.safe_dump(data, sort_keys=False) + tail)
+        write_text(path, head + yaml.safe_dump(data, sort_keys=False) + tail, follow)
 
     @classmethod
     def load(cls, path: Path | str, geometry: ModuleGeometry, modules: list[str], robot: str = "") -> WheelCalibration:

@@ -36,6 +36,6 @@ class WheelsPlant(PlanarPlant):
             if not wheel.driven:
                 self._touch(spec, wheel.joint, wheel.rollers, self.model_base.geometry.radius, friction)
         for i, name in enumerate(base.joint_groups().get("steer", [])):
-            self.drive_joint(spec, name, np.inf, self.draw.module_lag[min(i, len(self.draw.module_lag) - 1)])
+            self.drive_joint(spec, name, np.inf, self.draw.mount_lag[min(i, len(self.draw.mount_lag) - 1)])
         if base.casters:
             add_casters(self, spec, weight, np.array(base.casters))

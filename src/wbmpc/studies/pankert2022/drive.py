@@ -70,7 +70,7 @@ def _baseline(
 
     def record(now: float, command: Any, plans: Any) -> None:
         if round(now / timing.period) % 4 == 0:
-            bench.record(name, now, plant, controller, mission, command)
+            bench.record(name, now, plant.truth(), controller, mission, command)
 
     return Loop(plant, controller, None, timing, duration, record).run(progress)
 
@@ -122,7 +122,7 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
             Part("knock", partial(aside, "knock", *straight(robot, "X", True), 4.0)),
             *(Part(name, partial(aside, name, *way, None)) for name, way in closed.items()),
         ],
-        measured, lambda run: plots(bench.log, robot), IDEALIZATIONS,
+        measured, lambda run: [*plots(bench.log, robot), *bench.joints["tour"].plots()], IDEALIZATIONS,
     )  # fmt: skip
 
 

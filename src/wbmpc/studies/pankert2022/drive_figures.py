@@ -149,7 +149,7 @@ def speed_ratio(log: Log, robot: RobotModel) -> float:
     planned, legs = robot.description.limits.velocity, robot.input.groups["leg"]
     own = {n: LEG_MARGIN * planned.get(n, np.inf) for n in legs} | drive_speeds(robot.description)
     limits = np.array([own[n] for g in ("leg", "steer", "wheel") for n in robot.input.groups[g]])
-    return float((np.abs(log.array("tour.joint_speed")) / limits).max())
+    return float((np.abs(log.array("tour.drive_speed")) / limits).max())
 
 
 def story(log: Log, robot: RobotModel, title: str, posts: Sequence[tuple[float, float, float, float]] = ()) -> Drawing:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from wbmpc.bases.base import System
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.configurations import corners
@@ -26,7 +27,8 @@ from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.pankert2022.drive_missions import Knock, MissionSettings
 from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
 from wbmpc.studies.pankert2022.standing import stand_still
-from wbmpc.types import Timing
+from wbmpc.tasks.joint_figures import JointRecord
+from wbmpc.types import Timing, Truth
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class MissionRun:
     seed: int
     log: Log
     estimation: EstimatorSettings  # what every controller knows of the wheels
+    joints: dict[str, JointRecord] = field(default_factory=dict)  # of the runs with the MPC, by name
 
     @classmethod
     def of(cls, settings: MissionSettings, robot: RobotModel, seed: int) -> MissionRun:
@@ -54,9 +57,9 @@ class MissionRun:
         return home, plant
 
     def record(
-        self, name: str, t: float, plant: SwervePlant, controller: SwerveController, mission: Mission, command: Any
+        self, name: str, t: float, truth: Truth, controller: SwerveController, mission: Mission, command: Any
     ) -> None:
-        truth, add = plant.truth(), self.log.add
+        add = self.log.add
         if f"{name}.leg" not in self.log.names:
             self._label(name)
         add(f"{name}.base", t, truth.pose)
@@ -69,7 +72,7 @@ class MissionRun:
         add(f"{name}.wheel_force", t, truth.wheel_force)
         add(f"{name}.wanted", t, controller.target)
         speeds = [truth.joint_speeds[n] for g in ("leg", "steer", "wheel") for n in self.robot.input.groups[g]]
-        add(f"{name}.joint_speed", t, speeds)
+        add(f"{name}.drive_speed", t, speeds)
         add(f"{name}.steer", t, truth.state[self.robot.state["steer"]])
 
     def _label(self, name: str) -> None:
@@ -80,7 +83,7 @@ class MissionRun:
         ):  # fmt: skip
             label(channel, joints[group], unit)
         driven = [n for g in ("leg", "steer", "wheel") for n in joints[g]]
-        label("joint_speed", driven, "rad/s")
+        label("drive_speed", driven, "rad/s")
         label("wanted", self.robot.input.names, self.robot.input.units)
 
     def planned(
@@ -106,9 +109,15 @@ class MissionRun:
         mpc.reset(home)
         hit = None if knock is None else Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
+        joints = JointRecord(self.log, robot, System(plant, controller, mpc, timing), f"{name}.")
+        self.joints[name] = joints
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:
-                self.record(name, now, plant, controller, mission, command)
+                truth = plant.truth()
+                self.record(name, now, truth, controller, mission, command)
+                self.log.add(f"{name}.state", now, truth.state)
+                self.log.add(f"{name}.input", now, plans.current.feedforward(now))
+                joints.tick(now, truth, plans)
 
         return Loop(plant, controller, mpc, timing, duration, record).run(progress), hit

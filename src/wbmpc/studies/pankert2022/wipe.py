@@ -17,6 +17,7 @@ from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.settings import Robot
+from wbmpc.simulation.force_tip import TIP_MASS, TIP_RADIUS
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.metrics import in_frame
@@ -92,7 +93,9 @@ def build(settings: SwerveWipeSettings, seed: int) -> Scenario:
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the end effector makes up for
     height = HEIGHT - controller.estimator.calibration.rise(swerve_base(robot).geometry)
-    order = Order(settings.force, settings.length, settings.speed, settings.touch_speed, settings.spring)
+    order = Order(
+        settings.force, settings.length, settings.speed, settings.touch_speed, settings.spring, TIP_RADIUS, TIP_MASS
+    )
     controller.mpc, controller.wipe = mpc, (wipe := Wipe(robot, order, height))
     stand_still(plant, controller, timing, settings.settle_time)
     settled = len(plant.steps) * plant.timestep

@@ -22,9 +22,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
-from wbmpc.simulation.force_tip import TIP_MASS, TIP_RADIUS
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
-from wbmpc.studies.pankert2022.wipe_plant import WipeMeasurement
+from wbmpc.studies.pankert2022.wipe_messages import WipeMeasurement
 from wbmpc.tasks.paths import Approach, rise, risen
 from wbmpc.types import Observation
 
@@ -78,13 +77,15 @@ class WallLine:
 @dataclass(frozen=True)
 class Order:
     """What is wanted: ``force`` [N] along the normal, ``length`` [m] of the way and ``speed`` [m/s] along it, ``touch_speed`` [m/s] towards
-    the wall; ``stiffness`` [N/m] of the spring as far as it is known."""
+    the wall; ``stiffness`` [N/m] of the spring as far as it is known; ``radius`` [m] and ``mass`` [kg] of the tip."""
 
     force: float
     length: float
     speed: float
     touch_speed: float
     stiffness: float
+    radius: float
+    mass: float
 
 
 class Wipe:
@@ -92,7 +93,7 @@ class Wipe:
 
     def __init__(self, robot: RobotModel, order: Order, height: float = HEIGHT) -> None:
         self.robot, self.order = robot, order
-        self.first = np.array([BEGIN, WALL - STANDOFF - TIP_RADIUS, height])
+        self.first = np.array([BEGIN, WALL - STANDOFF - order.radius, height])
         self.approach = Approach(robot.pose(robot.home), (self.first, END_EFFECTOR_ORIENTATION))
         self.search = self.approach.duration + 0.5
         self.line, self.touched, self.extra = WallLine(), np.inf, 0.0
@@ -140,17 +141,17 @@ class Wipe:
     def update(self, t: float, x: Array, force: Array) -> None:
         """With the estimated state x (nx) and the sensor's force (3) [N] at t [s]."""
         place, quaternion = self.robot.pose(x)
-        pressed = lie.quaternion_to_rotation(quaternion) @ force + [0.0, 0.0, TIP_MASS * GRAVITY]
+        pressed = lie.quaternion_to_rotation(quaternion) @ force + [0.0, 0.0, self.order.mass * GRAVITY]
         normal = np.array([-self.line.slope, 1.0, 0.0]) / np.hypot(self.line.slope, 1.0)
         push = float(pressed @ normal)
         if push > TOO_MUCH * self.order.force:
             raise RunAborted(f"the end effector presses with {push:.0f} N")
-        surface = place[1] + TIP_RADIUS - push / self.order.stiffness
+        surface = place[1] + self.order.radius - push / self.order.stiffness
         if not self.touches:
             if t >= self.search and push >= TOUCHES:
                 self.touched = t
                 self.line.begin(place[0], surface)
-            elif place[1] + TIP_RADIUS > WALL + DEEPEST - 0.005:
+            elif place[1] + self.order.radius > WALL + DEEPEST - 0.005:
                 raise RunAborted(f"the end effector finds no wall up to {1e3 * DEEPEST:.0f} mm behind its place")
         elif t < self.released:
             h = t - self._updated
@@ -170,7 +171,7 @@ class Wipe:
             place[:, 1] += np.minimum(ahead, STANDOFF + DEEPEST)
             return place + self.approach.offset(t)[0]
         pressed = (self.force(t) + np.where(t < self.released, self.extra, 0.0)) / self.order.stiffness
-        place[:, 1] = self.line.at(place[:, 0]) - TIP_RADIUS + pressed - BACK * rise(t - self.released, RETREAT)
+        place[:, 1] = self.line.at(place[:, 0]) - self.order.radius + pressed - BACK * rise(t - self.released, RETREAT)
         return place
 
     def set(self, mpc: MPC, t: float) -> None:

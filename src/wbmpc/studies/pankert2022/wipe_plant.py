@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -16,6 +16,7 @@ from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
 from wbmpc.simulation.force_tip import FORCE, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.wheeled import CREEP_DECAY, SLIDING_IMPEDANCE
+from wbmpc.studies.pankert2022.wipe_messages import WipeMeasurement
 from wbmpc.types import Edit
 
 #: Half the thickness and half the height of the wall [m], and how far it goes on beyond the points that say where it is [m].
@@ -57,13 +58,6 @@ class Wall:
             geomname1="wall", geomname2=TIP, condim=3, friction=[self.grip, self.grip, 0.005, 1e-4, 1e-4],
             solref=[-STIFFNESS, -DAMPING], solreffriction=[-1.0, -CREEP_DECAY * low], solimp=[low, low, 0.001, 0.5, 2.0],
         )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class WipeMeasurement(SwerveMeasurement):
-    """Also the ``force`` (3) [N] of the end effector on its tip, in the end effector's axes, mean over 2.5 ms."""
-
-    force: Array = field(default_factory=lambda: np.zeros(3))
 
 
 class WipePlant(SwervePlant):

@@ -1,0 +1,169 @@
+"""The odometry of a process that was held up while somebody else drives the base. Truth: wheels that roll without slip, at a speed set by
+hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wbmpc.bases import base_type
+from wbmpc.bases.wheels.control import wheels_base
+from wbmpc.model.robot import RobotModel, load_robot
+from wbmpc.model.wheels import rolling_inverse_kinematics
+from wbmpc.ros2.control import ControlNode
+from wbmpc.ros2.goals import Planner
+from wbmpc.ros2.joints import Waited
+from wbmpc.ros2.request_queue import RequestQueue
+from wbmpc.ros2.robot import BusRobot
+from wbmpc.ros2.settings import RosSettings, joint_groups, settings_of
+from wbmpc.runtime.clock import VirtualClock, WallClock
+from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.runtime.stop_control import StopControl
+
+PERIOD, SPEED, BIAS = 0.0025, 0.8, 0.01
+
+
+class Listening:
+    """A bus on which nothing comes but by hand: ``take`` by topic."""
+
+    def __init__(self) -> None:
+        self.take: dict[str, Callable[..., None]] = {}
+
+    def subscribe(self, topic: str, kind: str, callback: Callable[..., None], *given: Any, **keys: Any) -> None:
+        self.take[topic] = callback
+
+    def publisher(self, *given: Any) -> Any:
+        return SimpleNamespace(publish=lambda message: None)
+
+
+def vector(x: float = 0.0, z: float = 0.0) -> Any:
+    return SimpleNamespace(x=x, y=0.0, z=z)
+
+
+class Driven:
+    """Messages of a robot whose base goes straight ahead."""
+
+    def __init__(self, robot: RobotModel, settings: RosSettings) -> None:
+        self.topics, self.twist = settings.topics, robot.description.base.takes_twist
+        groups, x = joint_groups(robot), robot.home
+        self.names = [settings.bus_name(n) for names in groups.values() for n in names]
+        rates = {g: np.zeros(len(names)) for g, names in groups.items()}
+        angles = {g: x[robot.state[g]] if g in robot.state.groups else np.zeros(len(n)) for g, n in groups.items()}
+        if "leg" in groups:
+            leg, steer = angles["leg"], angles["steer"]
+            angles["steer"], rates["wheel"] = rolling_inverse_kinematics(
+                robot.base.geometry, leg, steer, (1.0, 0.0, 0.0)
+            )
+        elif "steer" in groups:
+            base = wheels_base(robot)
+            rates["wheel"] = np.asarray(base.by_input(base.matrices(angles["steer"])[0]))[:, 0]
+        elif not self.twist:
+            rates["wheel"] = robot.base.rates[:, 0]
+        self.angles, self.rates = (np.concatenate(list(by.values())) for by in (angles, rates))
+
+    def at(self, stamp: float, way: float, speed: float) -> dict[str, Any]:
+        """Inertial unit, then the base's driver where there is one, then joints."""
+        header = SimpleNamespace(stamp=SimpleNamespace(sec=int(stamp), nanosec=round(stamp % 1.0 * 1e9)), frame_id="")
+        pose = SimpleNamespace(position=vector(way), orientation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0))
+        twist = SimpleNamespace(linear=vector(speed), angular=vector())
+        imu = SimpleNamespace(header=header, angular_velocity=vector(z=BIAS), linear_acceleration=vector(z=9.81))
+        odometry = SimpleNamespace(header=header, pose=SimpleNamespace(pose=pose), twist=SimpleNamespace(twist=twist))
+        joints = SimpleNamespace(header=header, name=self.names, position=self.angles + self.rates * way)
+        driver = {self.topics.base_odom: odometry} if self.twist else {}
+        return {self.topics.imu: imu, **driver, self.topics.joint_states: joints}
+
+
+@pytest.mark.parametrize("seconds", [0.3, 2.0, 10.0])
+@pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10", "mecanum-ur10", "tidybot", "pr2"])
+def test_the_way_of_the_time_in_which_a_process_was_held_up_counts(
+    name: str, seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When it goes on the first messages of that time come at once, then the newest ones: for the others there was no room."""
+    robot = load_robot(name)
+    settings = settings_of(robot)()
+    adapter = base_type(robot.description.base.type).ros(robot, settings, PERIOD)
+    bus, held, now = Listening(), range(1200, 1200 + round(seconds / PERIOD)), [0.0]
+    robot_io = BusRobot(bus, adapter, settings, WallClock())  # type: ignore[arg-type]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    messages = Driven(robot, settings)
+    for k in range(held.stop + 400):
+        way = SPEED * PERIOD * max(k - 800, 0)
+        now[0] = 100.0 + (held.stop * PERIOD + 1e-5 * (k - held.stop) if k in held else k * PERIOD)
+        if k in held and k - held.start > 100:
+            continue
+        for topic, message in messages.at(7.0 + k * PERIOD, way, SPEED if k > 800 else 0.0).items():
+            bus.take[topic](message, None)
+        if k not in held and k % 4 == 0:
+            for measurement in robot_io.unread():
+                adapter.stand(measurement)
+    seen, estimate = adapter.snapshot(), adapter.estimate()
+    assert seen is not None and estimate is not None
+    assert seen[1][robot.state["base"]] == pytest.approx([way, 0.0, 0.0], abs=0.02)
+    assert 0.005 < np.sqrt(estimate.covariance[0, 0]) < 0.15 * SPEED * seconds + 0.05
+
+
+def test_a_stamp_is_a_time_only_after_a_silence_that_has_room_for_it() -> None:
+    """By hand: messages that come at once after 2 s, one of a clock that was set ahead, bursts after 40 ms."""
+    waited = Waited()
+    assert waited.interval(2.0, 0.01) == 2.0
+    assert [waited.interval(1e-4, s) for s in (0.01, 1.5)] == [0.01, 1.5]
+    assert waited.interval(1e-4, 3.0) == 1e-4
+    assert waited.interval(0.0025, 0.0025) == 0.0025
+    burst = Waited()
+    assert [burst.interval(a, 0.0025) for a in (0.04, 1e-4, 1e-4)] == [0.04, 1e-4, 1e-4]
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: bool) -> None:
+    """A stream of 20 Hz goes on while a process is held up for 2 s. Truth: by hand. It counts again at once where nothing moved, after a
+    zero where it was stopped."""
+    robot = load_robot("differential-ur10")
+    settings, bus, now = settings_of(robot)(), Listening(), [10.0]
+    bus.publishers = lambda *given: []  # type: ignore[attr-defined]
+    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
+    queue.look()
+    speed(0.5)
+    assert queue.take() is not None
+    now[0] += 2.0
+    for _ in range(3):  # before the node's own thread goes on, and after
+        speed(0.5)
+        queue.look()
+        if stopped:
+            queue.stop()
+        assert queue.take() is None
+        now[0] += 1e-4
+    assert "held up" in queue.rejected
+    for _ in range(10):
+        now[0] += 0.05
+        queue.look()
+        speed(0.5)
+    assert (queue.take() is not None) is not stopped
+    speed(0.0)
+    speed(0.5)
+    assert queue.take() is not None
+    queue.look_away()  # a goal is begun, which takes long
+    now[0] += 2.0
+    speed(0.4)
+    queue.look()
+    assert queue.take() is not None and not queue._latched
+
+
+def test_a_plan_from_before_a_process_was_held_up_sends_no_trajectory() -> None:
+    """The node's own thread goes on before the controller's, which stops the robot. By hand: ticks at 0.5 s, then at 2.5 s, limit 0.1 s; an arm
+    that follows trajectories stands by then, and the plan is elsewhere."""
+    runner, sent = StopControl(None, RealTimeSettings(), VirtualClock()), list[float]()  # type: ignore[arg-type]
+    runner.plans = SimpleNamespace(current="a plan")  # type: ignore[attr-defined]
+    control = SimpleNamespace(
+        request_queue=SimpleNamespace(wrench=lambda: np.zeros(6)), wrench=np.zeros(6), runner=runner, running=True, now=None,
+        clock=runner.clock, trajectories=SimpleNamespace(send=lambda policy, t, now: sent.append(t)),
+    )  # fmt: skip
+    for now in (0.5, 0.55, 2.5):
+        runner.clock.wait(now)
+        runner._beat = min(now, 0.5)
+        ControlNode._send_setpoints(control)  # type: ignore[arg-type]
+    assert sent == [0.5, 0.55]
