@@ -244,8 +244,11 @@ def shift_numbers(m: Floats, o: Integers, numbers: int, k: int, i: int, a: float
 def shift_rows(m: Floats, o: Integers, delta: float) -> None:
     """Move slacks and multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then.
 
-    Where multiplier rows are among them all stay: contradictory limits show in multipliers that grow at their nodes."""
+    All stay after a pause of a whole horizon, and where multiplier rows are among them: contradictory limits show in multipliers that grow
+    at their nodes."""
     n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
+    if delta >= m[g + n] - m[g]:
+        return
     _, boxes, general = node_rows(o, 0)
     for r in range(boxes + general):
         if kind_of(m, o, r) != HARD:
