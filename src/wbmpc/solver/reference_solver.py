@@ -74,7 +74,7 @@ class InterpretedSolver(InterpretedLineSearch):
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         if delta > 0.0:
             self._shift(delta)
-            if not c.keep_slacks and self.own[0].hard.all() and delta < ws.grid[-1] - ws.grid[0]:
+            if not c.keep_slacks and self.own[0].hard.all():
                 self._shift_rows(delta)
         self.mu, self.shift = max(c.initial_barrier, c.keep_multipliers * self.mu), 0.0
         start_adaptive.python(ws.state, 0)
@@ -391,6 +391,8 @@ class InterpretedSolver(InterpretedLineSearch):
 
     def _shift_rows(self, delta: float) -> None:
         """As shift_rows of the compiled solver."""
+        if delta >= self.ws.grid[-1] - self.ws.grid[0]:
+            return
         nodes, times = self.own[:-1], self.ws.grid[:-1]
         for name in ("t", "l", "s"):
             numbers = np.array([getattr(rows, name) for rows in nodes])
