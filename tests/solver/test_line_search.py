@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from toys import Rows, ToyDynamics
-from wbmpc.ocp import Constraint, Cost, OptimalControlProblem
+from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, sets
 from wbmpc.solver import SQP, Solution, Solver, Status
+from wbmpc.solver.driver import begin, direction
 
 MERIT = SQP(iterations=60, max_regularization=0.0)
 FILTER = replace(MERIT, line_search="filter")
@@ -99,3 +100,42 @@ def test_noise_between_solves_shortens_nothing() -> None:
     solver = Solver(ocp, SQP.real_time(min_step=1.0))
     for k in range(10):
         assert solver.solve(np.array([(-1.0) ** k])).log[0, 4] == 1.0
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_in_real_time_a_push_is_answered_by_the_whole_step(backend: str) -> None:
+    """A problem of squares with straight dynamics is solved by one step, however much the plan costs more after the push than the plan
+    before it, whose start is wrong. Truth: the same problem from scratch, and Newton's method."""
+    ocp = OptimalControlProblem(ToyDynamics(2, 1, lambda x, u, w, m: ca.vertcat(x[1], u)), 1.0, 10)
+    ocp.add(Cost("state", Rows(2, lambda s: s.x), [10.0, 1.0], at="path+terminal"))
+    ocp.add(Cost("input", Rows(1, lambda s: s.u), 0.1))
+    solver = Solver(ocp, SQP.real_time(backend=backend))
+    solver.warm_start(np.zeros(2))
+    found, exact = solver.solve(np.array([0.3, -0.5])), Solver(ocp)
+    exact.warm_start(np.zeros(2))
+    want = exact.solve(np.array([0.3, -0.5]))
+    assert want.status is Status.CONVERGED and found.log[0, 4] == 1.0 and solver.effort.trial_points == 1
+    np.testing.assert_allclose(found.u, want.u, atol=1e-8)
+
+
+def test_the_value_function_knows_the_curvature_of_a_step() -> None:
+    """Real time keeps no Hessians and takes δzᵀ H δz from the recursion. Truth: their product with the step, node by node."""
+    dynamics = ToyDynamics(2, 2, lambda x, u, w, m: ca.vertcat(x[1], u[0] - 4.0 * ca.sin(x[0])))
+    ocp = OptimalControlProblem(dynamics, 1.0, 12)
+    ocp.add(Cost("goal", Rows(2, lambda s: s.x - 1.0), 10.0, at="path+terminal"))
+    ocp.add(Cost("input", Rows(2, lambda s: s.u), 0.1))
+    ocp.add(Constraint("bounds", Rows(2, lambda s: s.u), sets.Box(-2.0, 2.0), hard=True))
+    ocp.add(Constraint("power", Rows(1, lambda s: s.x[1] * s.u[0]), sets.Box(-1.0, 1.0), hard=True))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1]), sets.Box(-0.5, 0.5), hard=True, at="path+terminal"))
+    ocp.add(Constraint("soft", Rows(1, lambda s: s.u[1] - s.x[0]), softness=0.1))
+    ocp.add(Constraint("end", Rows(1, lambda s: ca.sin(s.x[0]) - 0.5), at="terminal"))
+    x0, found = np.array([0.2, 0.4]), []
+    for chosen in (SQP(compute_kkt=False), SQP()):
+        solver = Solver(ocp, chosen)
+        solver.warm_start(np.array([0.1, 0.3]), np.array([0.5, -0.5]))
+        m, o = solver.ws.memory, solver.ws.table
+        begin(m, o, x0, solver.numbers)
+        found.append(direction(m, o, x0, solver.numbers, solver.log.reshape(-1), 0))
+    (*_, curvature, size, slope), (*_, want, same_size, same_slope) = found
+    assert (size, slope) == (same_size, same_slope) and want > 1.0
+    np.testing.assert_allclose(curvature, want, rtol=1e-9)

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from toys import Rows, ToyDynamics, pendulum, robot
+from wbmpc.model.ode import Ode
 from wbmpc.mpc.policy import Policy
-from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals
-from wbmpc.solver import SQP, Solver
-from wbmpc.solver.receding import align, make_tables, sample_all, shift
+from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals, sets
+from wbmpc.solver import SQP, InteriorPoint, Solver, Status
+from wbmpc.solver.memory_layout import ROW_L, ROW_S, ROW_T, ROWS, N
+from wbmpc.solver.receding import align, make_tables, sample_all, shift, shift_rows
 
 
 def shifted(solver: Solver, delta: float) -> None:
     if solver.settings.backend == "interpreted":
         solver.twin._shift(delta)
+        solver.twin._shift_rows(delta)
     else:
         tables = solver._current_tables()
         align(solver.ws.memory, solver.ws.table, *tables, 0.0)
+        shift_rows(solver.ws.memory, solver.ws.table, delta)
         shift(solver.ws.memory, solver.ws.table, delta)
 
 
@@ -194,3 +199,77 @@ def test_feed_forward_is_a_copy() -> None:
     p = plan()
     p.feedforward(2.0)[:] = 99.0
     assert np.abs(p.u).max() < 50.0
+
+
+def swing(backend: str) -> Solver:
+    """A pendulum in real time whose limits of torque and speed are active for a while."""
+    dynamics = Ode({"x": ["q", "v"]}, {"u": ["t"]}, lambda x, u: ca.vertcat(x[1], u - 4.0 * ca.sin(x[0])))
+    ocp = OptimalControlProblem(dynamics, 1.0, 20)
+    ocp.add(Cost("goal", Rows(2, lambda s: ca.vertcat(s.x[0] - 1.5, s.x[1])), 10.0, at="path+terminal"))
+    ocp.add(Cost("torque", Rows(1, lambda s: s.u), 0.01))
+    ocp.add(Constraint("bounds", Rows(1, lambda s: s.u), sets.Box(-6.0, 6.0), hard=True))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1:]), sets.Box(-1.5, 1.5), hard=True, at="path+terminal"))
+    solver = Solver(ocp, SQP.real_time(10, backend=backend))
+    solver.warm_start(np.zeros(2))
+    return solver
+
+
+def rows_of(solver: Solver) -> dict[str, np.ndarray]:
+    """Slacks and multipliers (N, rows) of the path, as views of the compiled solver's memory or copies of the twin's."""
+    if solver.settings.backend == "interpreted":
+        return {name: np.array([getattr(r, name) for r in solver.twin.own[:-1]]) for name in "tls"}
+    m, o = solver.ws.memory, solver.ws.table
+    n, rows = int(o[N]), int(o[ROWS])
+    return {
+        name: m[o[at] : o[at] + n * rows].reshape(n, rows)[:, : len(solver.problem.path.rows)]
+        for name, at in (("t", ROW_T), ("l", ROW_L), ("s", ROW_S))
+    }
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("delta", [0.013, 0.2, 0.55, 5.0])
+def test_slacks_and_multipliers_move_with_the_plan(backend: str, delta: float) -> None:
+    """NumPy's interpolation over the nodes that have inputs: a limit that is active until some time stays so until then. After a pause of a
+    whole horizon, 1 s, they stay."""
+    solver = swing(backend)
+    solver.solve(np.array([0.2, 0.1]))
+    before, times = {k: v.copy() for k, v in rows_of(solver).items()}, solver.ws.grid[:-1]
+    assert np.ptp(before["l"], axis=0).max() > 0.1
+    shifted(solver, delta)
+    for name, values in rows_of(solver).items():
+        moved = delta if delta < 1.0 else 0.0
+        want = np.stack([np.interp(times + moved, times, c) for c in before[name].T], axis=1)
+        np.testing.assert_allclose(values, want, rtol=1e-12, atol=1e-14, err_msg=name)
+
+
+def trolley(settings: SQP) -> Solver:
+    """A mass that goes home with limits of force and speed."""
+    dynamics = Ode({"x": ["q", "v"]}, {"u": ["f"]}, lambda x, u: ca.vertcat(x[1], u))
+    ocp = OptimalControlProblem(dynamics, 2.0, 40)
+    ocp.add(Cost("goal", Rows(2, lambda s: s.x), [10.0, 0.1], at="path+terminal"))
+    ocp.add(Cost("force", Rows(1, lambda s: s.u), 0.01))
+    ocp.add(Constraint("bounds", Rows(1, lambda s: s.u), sets.Box(-6.0, 6.0), hard=True))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1:]), sets.Box(-1.5, 1.5), hard=True, at="path+terminal"))
+    solver = Solver(ocp, settings)
+    solver.warm_start(np.array([-1.0, 0.0]))
+    return solver
+
+
+@pytest.mark.parametrize("barrier", [1e-3, 1e-5])
+def test_ticks_with_active_limits_take_one_iteration(barrier: float) -> None:
+    """Force and speed are at their limits for a while, and the trolley is pushed. Truth: the converged plan of every state."""
+    solver = trolley(SQP.real_time(interior_point=InteriorPoint("real_time", barrier)))
+    exact = trolley(SQP())
+    x, h, saturated = np.array([-1.0, 0.0]), float(solver.ws.grid[1]), 0
+    for _ in range(10):
+        solver._run(x)
+    for k in range(1, 40):
+        x = solver.simulate(x, solver.ws.u[0], h)
+        x[1] -= 1.0 if k == 20 else 0.0
+        solver._run(x, k * h, h)
+        assert solver.effort.directions == 1, k
+        found = exact.solve(x)
+        assert found.status is Status.CONVERGED
+        assert abs(solver.ws.u[0] - found.u[0]) < 0.05 * 12.0, k
+        saturated += abs(found.u[0, 0]) > 5.9
+    assert saturated > 2

@@ -28,7 +28,7 @@ from wbmpc.solver.memory_layout import (
     StateField,
     X,
 )
-from wbmpc.solver.riccati import backward, forward, kkt_residual
+from wbmpc.solver.riccati import backward, forward, kkt_residual, value_of_subproblem
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.soft_equalities import soft_residual_steps, start_soft_residuals, take_soft_residuals
 from wbmpc.solver.stages import row_count
@@ -125,11 +125,15 @@ def direction(
         gaps += abs(x0[i] - m[o[X] + i])
     violation += gaps + equalities
     largest, slope = forward(m, o, x0)
+    tilt, soft_squares = slope, 0.0
     if row_count(o) > 0:
-        rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
+        tilt += rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
     if o[SOFT_EQUALITIES] > 0:
-        slope += soft_residual_steps(m, o)
-    kkt, curvature = kkt_residual(m, o) if compute_kkt else (np.nan, 0.0)
+        soft_slope, soft_squares = soft_residual_steps(m, o)
+        slope += soft_slope
+    kkt, curvature = np.nan, 2.0 * (value_of_subproblem(m, o) - tilt) - soft_squares
+    if compute_kkt:
+        kkt, curvature = kkt_residual(m, o)
     log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + StateField.ROW_COST], violation, kkt, largest
     m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], violation
     log[row + 4], log[row + 5], log[row + 6], log[row + 7] = (
@@ -194,20 +198,23 @@ def settle_rows(
 
 
 @compiled
-def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats) -> bool:
+def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats, expected: float) -> bool:
     """Where the measured state is outside a hard limit, the iterate starts inside, and its slacks hardly let it go there: it
     becomes a motion from there, as in single shooting, with inputs held within their rows, and the slacks those of that motion.
 
-    Steps from inside would be cut again and again, and in real time the plan would not start where the robot is.
+    Steps from inside would be cut again and again, and in real time the plan would not start where the robot is. ``expected``: the
+    cost that the step promises.
     """
     state = o[STATE]
     if m[state + StateField.MAX_PRIMAL_STEP] > THRESHOLDS.jammed or initial_violation(m, o) <= LIMIT_TOLERANCE:
         return False
-    hold = m[state + StateField.HOLD_INPUTS]
+    hold, most = m[state + StateField.HOLD_INPUTS], THRESHOLDS.runaway * max(1.0, expected)
+    if s[Setting.KEEP_MULTIPLIERS] == 0.0:  # many iterations bring any motion back
+        most = np.inf
     m[state + StateField.HOLD_INPUTS] = max(hold, 1.0)
     cost, violation = trial(m, o, x0, 0.0, True)
     m[state + StateField.HOLD_INPUTS] = hold
-    if not (np.isfinite(cost) and np.isfinite(violation)):
+    if not (np.isfinite(cost) and abs(cost) <= most and np.isfinite(violation)):  # an unstable system may run away
         return False
     take(m, o)
     start_rows(m, o, s[Setting.MIN_SLACK], s[Setting.KEEP_MULTIPLIERS] > 0.0, False)
@@ -346,7 +353,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
             continue
         if stalled(m, o, s, (kkt, violation), it):
             return STALLED, it - 1
-        if again and restart_from_rollout(m, o, x0, s):
+        if again and restart_from_rollout(m, o, x0, s, max(abs(cost), cost + slope + 0.5 * curvature)):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
         if it < most and m[state + StateField.MAX_PRIMAL_STEP] < SHORT and raise_barrier(m, o, s):

@@ -71,13 +71,14 @@ ROUNDING = 1e-15
 
 
 @compiled
-def rows_step(m: Floats, o: Integers, tau: float) -> None:
-    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see memory_layout.py).
+def rows_step(m: Floats, o: Integers, tau: float) -> float:
+    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see memory_layout.py). Returns Σ w σ e J δz, what
+    rows add to the subproblem's slope.
 
     ``tau``: fraction to the boundary.
     """
     state, mu, zero = o[STATE], m[o[STATE] + StateField.BARRIER], np.full(LANES, 0.0)
-    primal, dual, slope, product, residual, left = zero, zero, zero, zero, zero, zero
+    primal, dual, slope, product, residual, left, tilt = zero, zero, zero, zero, zero, zero, zero
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
@@ -88,8 +89,9 @@ def rows_step(m: Floats, o: Integers, tau: float) -> None:
             change, h = m[o[ROW_D] + q : o[ROW_D] + q + LANES], m[o[ROW_H] + q : o[ROW_H] + q + LANES]
             t, l = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]  # noqa: E741
             s, y = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
-            reach, hard = change + m[o[ROW_E] + q : o[ROW_E] + q + LANES], active & (kind == HARD)
-            following = -m[o[ROW_C] + q : o[ROW_C] + q + LANES] * reach
+            sigma, e = m[o[ROW_C] + q : o[ROW_C] + q + LANES], m[o[ROW_E] + q : o[ROW_E] + q + LANES]
+            reach, hard = change + e, active & (kind == HARD)
+            tilt, following = tilt + (w * sigma) * (e * change), -sigma * reach
             dt, ds, dl, shrink, fall, rise = steps(t, l, s, y, penalty, following, h + change, mu)
             m[o[ROW_DT] + q : o[ROW_DT] + q + LANES] = np.where(hard, dt, 0.0)
             m[o[ROW_DS] + q : o[ROW_DS] + q + LANES] = np.where(hard, ds, 0.0)
@@ -120,6 +122,7 @@ def rows_step(m: Floats, o: Integers, tau: float) -> None:
     )
     m[state + StateField.ROW_SLOPE], m[state + StateField.MAX_COMPLEMENTARITY] = np.sum(slope), np.max(product)
     m[state + StateField.MAX_ROW_RESIDUAL], m[state + StateField.REMAINING_VIOLATION] = np.max(residual), np.sum(left)
+    return np.sum(tilt)
 
 
 @compiled

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
-from wbmpc.solver.compilation import LIBRARY, Floats, Integers, compiled
+from wbmpc.solver.compilation import LANES, LIBRARY, Floats, Integers, compiled
 from wbmpc.solver.driver import solve
+from wbmpc.solver.inequality_table import HARD, kind_of, node_rows
 from wbmpc.solver.line_search import take
 from wbmpc.solver.memory_layout import (
     ALIGN,
@@ -22,7 +23,9 @@ from wbmpc.solver.memory_layout import (
     NU,
     NX,
     ROW_L,
+    ROW_S,
     ROW_T,
+    ROW_Y,
     ROWS,
     SLOPES,
     STATE,
@@ -31,6 +34,7 @@ from wbmpc.solver.memory_layout import (
     K,
     N,
     P,
+    Setting,
     StateField,
     U,
     X,
@@ -49,6 +53,19 @@ class Tables(NamedTuple):
 
     numbers: np.ndarray
     integers: np.ndarray
+
+
+class TableAddresses:
+    """Where the arrays of tables are: looked up once for the same tables, for that takes microseconds of every solve."""
+
+    def __init__(self) -> None:
+        self._found: tuple[Tables | None, tuple[int, int]] = (None, (0, 0))
+
+    def of(self, tables: Tables) -> tuple[int, int]:
+        """Addresses of numbers and integers."""
+        if tables is not self._found[0]:
+            self._found = (tables, (tables.numbers.ctypes.data, tables.integers.ctypes.data))
+        return self._found[1]
 
 
 def make_tables(problem: Transcription, references: Mapping[str, Reference], schedule: ModeSchedule) -> Tables:
@@ -193,8 +210,9 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
         for c in range(nx):
             m[o[XT] + k * nx + c] = (1.0 - a) * m[x + c] + a * m[x + nx + c]
         if k < n and i > k:  # the gains hold over intervals; backwards in time they stay
-            for c in range(nu * lx):
-                m[o[K] + k * nu * lx + c] = m[o[K] + i * nu * lx + c]
+            to, source = o[K] + k * nu * lx, o[K] + i * nu * lx
+            for c in range(0, nu * lx, LANES):  # rows of gains are padded
+                m[to + c : to + c + LANES] = m[source + c : source + c + LANES]
     i = 0
     for k in range(n):
         # inputs are constant over an interval: interpolate between the intervals' middles
@@ -213,6 +231,41 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
 
 
 @compiled
+def shift_numbers(m: Floats, o: Integers, numbers: int, k: int, i: int, a: float) -> None:
+    """A number for each row, from those of the nodes i ≥ k and i + 1, of which ``a`` counts, to node k. They may be infinite."""
+    inner = a > 0.0 and i < o[N] - 1
+    new, old, after, share = numbers + k * o[ROWS], numbers + i * o[ROWS], o[ROWS] if inner else 0, a if inner else 0.5
+    for j in range(0, o[ROWS], LANES):
+        here, there = old + j, old + j + after
+        m[new + j : new + j + LANES] = (1.0 - share) * m[here : here + LANES] + share * m[there : there + LANES]
+
+
+@compiled
+def shift_rows(m: Floats, o: Integers, delta: float) -> None:
+    """Move slacks and multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then.
+
+    All stay after a pause of a whole horizon, and where multiplier rows are among them: contradictory limits show in multipliers that grow
+    at their nodes."""
+    n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
+    if delta >= m[g + n] - m[g]:
+        return
+    _, boxes, general = node_rows(o, 0)
+    for r in range(boxes + general):
+        if kind_of(m, o, r) != HARD:
+            return
+    for k in range(n):
+        t = min(m[new + k] + delta, m[g + n])
+        while i < n - 1 and m[g + i + 1] <= t:
+            i += 1
+        if i >= k:  # backwards in time they stay
+            a = (t - m[g + i]) / (m[g + i + 1] - m[g + i])
+            shift_numbers(m, o, o[ROW_T], k, i, a)
+            shift_numbers(m, o, o[ROW_L], k, i, a)
+            shift_numbers(m, o, o[ROW_S], k, i, a)
+            shift_numbers(m, o, o[ROW_Y], k, i, a)
+
+
+@compiled
 def receding_solve(
     m: Floats,
     o: Integers,
@@ -227,6 +280,8 @@ def receding_solve(
     """Shift by ``delta``, sample at ``t0``, iterate: (status, steps done)."""
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
+        if row_count(o) > 0 and settings[Setting.KEEP_SLACKS] == 0.0:
+            shift_rows(m, o, delta)
         shift(m, o, delta)
     m[o[STATE] + StateField.BLOCKED_TIME] += delta
     sample_all(m, o, numbers, integers, t0)

@@ -71,9 +71,11 @@ class InterpretedSolver(InterpretedLineSearch):
         ws = self.ws
         for k in range(len(ws.grid)):
             sample.python(tables.numbers, tables.integers, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
+        c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         if delta > 0.0:
             self._shift(delta)
-        c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
+            if not c.keep_slacks and self.own[0].hard.all():
+                self._shift_rows(delta)
         self.mu, self.shift = max(c.initial_barrier, c.keep_multipliers * self.mu), 0.0
         start_adaptive.python(ws.state, 0)
         ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
@@ -199,7 +201,7 @@ class InterpretedSolver(InterpretedLineSearch):
             run.level = max(0.2 * self.mu, c.min_barrier) if last else run.level
             self.mu, run.first, run.last_kkt = next_mu.python(self.mu, run.level, 0.0, self.mu), 1.0, np.inf
             return None
-        if run.again and self._restarts(x0, c):
+        if run.again and self._restarts(x0, c, max(abs(cost), cost + s["slope"] + 0.5 * s["curvature"])):
             run.again, run.limit, run.last_kkt, run.first = False, run.limit + 1, np.inf, 1.0
             return None
         if run.count < c.iterations + c.max_extra_iterations and self._raises_barrier(c):
@@ -238,7 +240,7 @@ class InterpretedSolver(InterpretedLineSearch):
             rows.raise_multipliers(self.mu)
         return True
 
-    def _restarts(self, x0: np.ndarray, c: Any) -> bool:
+    def _restarts(self, x0: np.ndarray, c: Any, expected: float) -> bool:
         """As restart_from_rollout of the compiled solver."""
         rows = self.own[0]
         ahead = np.where(rows.hard & ~rows.bounds_inputs, -(rows.h + rows.change), 0.0)
@@ -249,7 +251,8 @@ class InterpretedSolver(InterpretedLineSearch):
         hold, self.hold = self.hold, max(self.hold, 1)
         x, u = self._trial({}, 0.0, x0, True)
         self.hold = hold
-        if not (np.isfinite(x).all() and np.isfinite(u).all()):
+        most = THRESHOLDS.runaway * max(1.0, expected) if c.keep_multipliers else np.inf
+        if not (np.isfinite(x).all() and np.isfinite(u).all() and abs(self._merit(x, u, x0)[0]) <= most):
             return False
         self.ws.x[:], self.ws.u[:] = x, u
         self._start_rows(self.mu, c.min_slack, bool(c.keep_multipliers), False)
@@ -264,8 +267,7 @@ class InterpretedSolver(InterpretedLineSearch):
             w * np.abs((r.h + r.change)[r.equal & r.counts]).sum() for w, r in zip(h, self.own, strict=True)
         )
         if drop > 1e-10:
-            curvature = s["curvature"] if c.compute_kkt else 0.0  # the compiled solver has it only then
-            run.penalty = max(run.penalty, 2.0 * (s["slope"] + 0.5 * curvature) / drop)
+            run.penalty = max(run.penalty, 2.0 * (s["slope"] + 0.5 * s["curvature"]) / drop)
         invisible = abs(s["slope"]) + run.penalty * drop < 1e-5 * (1.0 + abs(cost))
         overshoots = c.compute_kkt and self._compare_with_last(s["du"])[0] < 0.0 and kkt > run.last_kkt and invisible
         run.first = max(0.5 * run.first, 0.01) if overshoots else min(1.3 * run.first, 1.0)
@@ -386,3 +388,14 @@ class InterpretedSolver(InterpretedLineSearch):
             array[:] = np.stack([np.interp(times + delta, times, c) for c in array.T], axis=1)
         for row in ws.x:
             self._normalize(row)
+
+    def _shift_rows(self, delta: float) -> None:
+        """As shift_rows of the compiled solver."""
+        if delta >= self.ws.grid[-1] - self.ws.grid[0]:
+            return
+        nodes, times = self.own[:-1], self.ws.grid[:-1]
+        for name in ("t", "l", "s"):
+            numbers = np.array([getattr(rows, name) for rows in nodes])
+            moved = np.array([np.interp(times + delta, times, c) for c in numbers.T]).reshape(-1, len(nodes))
+            for rows, own in zip(nodes, moved.T, strict=True):
+                setattr(rows, name, own.copy())

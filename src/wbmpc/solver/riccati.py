@@ -182,6 +182,7 @@ def linearize_end(m: Floats, o: Integers) -> tuple[float, float]:
         m[end + i * lx + i] += m[o[STATE] + StateField.SHIFT]
     for i in range((nx + 1) * lx):
         m[o[VALUE] + i] = m[end + i]
+    m[o[VALUE] + nx * lx + nx] = 0.0  # squares of what rows miss: they are in the cost
     return cost + row_cost, violation
 
 
@@ -262,6 +263,19 @@ def forward(m: Floats, o: Integers, x0: Floats) -> tuple[float, float]:
     for r in range(nx):
         slope += m[o[DX] + n * lx + r] * m[o[G] + n * lz + r]
     return np.max(m[sizes : sizes + LANES]), slope
+
+
+@compiled
+def value_of_subproblem(m: Floats, o: Integers) -> float:
+    """The least value of the quadratic problem without the constant of its cost, after :func:`forward`: what the recursion leaves in the
+    extended value function of the first node, at the first node's step."""
+    total, nx = m[o[VALUE] + o[NX] * o[LX] + o[NX]], o[NX]
+    for i in range(nx):
+        row, along = o[VALUE] + i * o[LX], 2.0 * m[o[VALUE] + i * o[LX] + nx]
+        for j in range(nx):
+            along += m[row + j] * m[o[DX] + j]
+        total += along * m[o[DX] + i]
+    return 0.5 * total
 
 
 @compiled

@@ -19,7 +19,8 @@ class Thresholds:
     above 1. ``settled``: the largest step of a solution, however small the gradient is. ``at_rest``: the same for soft equalities,
     whose residual is then theirs. ``bias``: by how much a solution may still depend on the barrier parameter; ``min_barrier``: as far
     as it falls for that; ``max_barrier``: as far as it rises where slacks cut steps to less than a tenth. ``jammed``: steps that slacks
-    cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``). ``raised``: in real time
+    cut to less, with the measured state outside a limit, are replaced by a roll-out (``rollout_restart``), unless that costs more than
+    ``runaway`` times what the step promises, as of an unstable system. ``raised``: in real time
     the barrier parameter rises by at most this factor where slacks cut steps to less than a tenth, and to at most ``slack_share`` of
     the weight of any slack, so that plans hardly use these. ``kept_weight``: the share of the violation's weight in the merit that is
     kept when μ or ρ changes: with weights found far away from a solution later steps would only creep along the constraints.
@@ -32,6 +33,7 @@ class Thresholds:
     min_barrier: float = 1e-18
     max_barrier: float = 0.1
     jammed: float = 0.25
+    runaway: float = 100.0
     raised: float = 3e4
     slack_share: float = 1e-3
     kept_weight: float = 0.1

@@ -50,9 +50,9 @@ def start_soft_residuals(m: Floats, o: Integers) -> None:
 
 
 @compiled
-def soft_residual_steps(m: Floats, o: Integers) -> float:
-    """Step of r along the directions dx, du; returns the slope of ½ r² / ε."""
-    nx, lz, slope = o[NX], o[LZ], 0.0
+def soft_residual_steps(m: Floats, o: Integers) -> tuple[float, float]:
+    """Step of r along the directions dx, du; returns the slope of ½ r² / ε, and Σ r² / ε after the step."""
+    nx, lz, slope, squares = o[NX], o[LZ], 0.0, 0.0
     for block in range(
         (o[N] - 1) // LANES, -1, -1
     ):  # as the elimination: at the end the buffer has the first node's rows
@@ -73,7 +73,8 @@ def soft_residual_steps(m: Floats, o: Integers) -> float:
                 m[o[SOFT_RESIDUAL_STEP] + at] = ahead - m[o[SOFT_RESIDUAL] + at]
                 if m[o[EPS] + q] > MIN_SOFTNESS:
                     slope += m[o[SOFT_RESIDUAL] + at] * m[o[SOFT_RESIDUAL_STEP] + at] / m[o[EPS] + q]
-    return slope
+                    squares += ahead * ahead / m[o[EPS] + q]
+    return slope, squares
 
 
 @compiled

@@ -217,9 +217,9 @@ class Solver(SolverResults):
 
     def _current_tables(self) -> Tables:
         """References and modes as the compiled code reads them."""
-        from wbmpc.solver.receding import make_tables
-
         while (tables := self._tables) is None:
+            from wbmpc.solver.receding import make_tables
+
             for name, term in self.ocp.terms.items():
                 if getattr(term.residual, "reference_required", False) and name not in self.references:
                     raise InputError(f"term '{name}': its reference (a pose) is not set")
@@ -242,10 +242,10 @@ class Solver(SolverResults):
                 with Interruptible() as signals:
                     return self.twin.run(self._current_tables(), t0, delta, x0, self.settings, self.log, signals.check)
             self.x0[:] = x0
-            tables, out = self._current_tables(), self._out
+            (numbers, integers), out = self._addresses.of(self._current_tables()), self._out
             self._entry(
-                self._memory, self._table, tables.numbers.ctypes.data, tables.integers.ctypes.data, t0, delta, self._start,
-                self._numbers, self._log, ctypes.addressof(out),
+                self._memory, self._table, numbers, integers, t0, delta, self._start, self._numbers, self._log,
+                self._results,
             )  # fmt: skip
             return out[0], out[1]
 
@@ -263,10 +263,11 @@ class Solver(SolverResults):
 
     def _bind(self) -> None:
         """Addresses of what every solve passes on: a call then costs microseconds."""
-        from wbmpc.solver.receding import receding_solve
+        from wbmpc.solver.receding import TableAddresses, receding_solve
         from wbmpc.solver.simulation import Simulation
 
         self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
+        self._addresses, self._results = TableAddresses(), ctypes.addressof(self._out)
         own, nx, nu = {"m": self.ws.memory, "o": self.ws.table}, self.problem.nx, self.problem.nu
         self._simulate = Reentrant(lambda: Simulation(own, nx, nu))
         self.x0 = np.zeros(self.problem.nx)

@@ -147,10 +147,10 @@ def convergence_status(
     if compute_kkt and mu < last_mu:
         bias = moved(m, o) * mu / (last_mu - mu)
     last = mu <= level or not rows
-    small = not last or moved(m, o) <= THRESHOLDS.settled
     # where rounding of one multiplier holds back the steps of all
     close = 100.0 if m[state + StateField.MAX_DUAL_STEP] < SHORT else 10.0
-    if compute_kkt and kkt <= s[Setting.TOLERANCE] and feasible and product <= close * mu and small:
+    solved = compute_kkt and kkt <= s[Setting.TOLERANCE] and feasible and product <= close * mu
+    if solved and (not last or moved(m, o) <= THRESHOLDS.settled):
         if last and (not rows or bias <= THRESHOLDS.bias or mu <= s[Setting.MIN_BARRIER]):
             return 1.0 * CONVERGED, level, bias
         level = max(0.2 * mu, s[Setting.MIN_BARRIER]) if last else level
