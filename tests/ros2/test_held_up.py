@@ -126,7 +126,9 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     robot = load_robot("differential-ur10")
     settings, bus, now = settings_of(robot)(), Listening(), [10.0]
     bus.publishers = lambda *given: []  # type: ignore[attr-defined]
-    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    queue = RequestQueue(
+        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
+    )  # type: ignore[arg-type]
     speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
     queue.look()
     speed(0.5)
@@ -160,7 +162,9 @@ def test_goals_and_commands_that_waited_in_a_process_that_was_held_up_do_not_cou
     """Goals, wrenches, commands for legs and brakes that were sent meanwhile; sent again they count. Truth: by hand."""
     robot = load_robot("swerve-ur10")
     settings, bus, now = SwerveRosSettings(topics={"wrench": "/wrench"}), Listening(), [10.0]
-    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    queue = RequestQueue(
+        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
+    )  # type: ignore[arg-type]
     bus.serve = lambda topic, kind, answer, **keys: bus.take.update({topic: answer})  # type: ignore[attr-defined]
     adapter = SimpleNamespace(robot=robot, settings=settings, brakes=None, snapshot=lambda: None)
     legs = LegControl(SimpleNamespace(node=bus, request_queue=queue, running=True), adapter).commands  # type: ignore[arg-type]
@@ -225,3 +229,16 @@ def test_a_plan_from_before_a_process_was_held_up_sends_no_trajectory() -> None:
         runner._beat = min(now, 0.5)
         ControlNode._send_setpoints(control)  # type: ignore[arg-type]
     assert sent == [0.5, 0.55]
+
+
+def test_a_simulated_time_that_leaps_has_held_nothing_up() -> None:
+    """The first time of a simulator, and of one that was restarted: goals and speeds count. By hand: leaps of 1000 s and 100 s."""
+    robot = load_robot("differential-ur10")
+    settings, bus, now = settings_of(robot)(), Listening(), [0.0]
+    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    for leap in (1000.0, 100.0):
+        queue.look()
+        now[0] += leap
+        queue.look()
+        bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
+        assert queue.take() is not None and not queue.rejected

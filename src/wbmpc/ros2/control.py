@@ -81,7 +81,10 @@ class ControlNode:
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
-        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady)
+        wall = (
+            (lambda: 0.0) if settings.lockstep else time.monotonic
+        )  # there the bus waits, however slow the machine is
+        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady, wall)
         self.base_commands = self.adapter.base_commands(self)
         self.planning = Planning(self.adapter.references)
         self.obstacles = ObstacleTopics(node, self.adapter, settings, steady, self.now, self._plan_origin)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -41,12 +42,15 @@ class RequestQueue:
     """Listens to goals; the newest one counts, but paths of base and end effector go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
-    ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
-    force, set by who takes them up.
+    ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out; ``wall()`` [s]: by which a process was
+    held up. ``running``: the task in force, set by who takes them up.
     """
 
-    def __init__(self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time) -> None:
-        self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
+    def __init__(
+        self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time, wall: Time = time.monotonic
+    ) -> None:  # fmt: skip
+        self.node, self.planner, self.settings = node, planner, settings
+        self.origin, self.now, self.wall = origin, now, wall
         self.rejected = self._limited = ""
         self.running: Task | None = None
         self._limited_log = RateLimit()
@@ -73,22 +77,23 @@ class RequestQueue:
     # ------------------------------------------------------------------ taken up
     def look(self) -> None:
         """To be called at every step: messages that come while it is not are not of now."""
-        now = self.now()
+        now = self.wall()
         if now - self._looked > _WAITED:
-            self._held, self._fresh_from = self._waited(now), now + _WAITED
+            self._held, self._fresh_from = self._waited(), now + _WAITED
         self._looked = now
 
     def look_away(self) -> None:
         """What the node does now may take long, and is no reason to miss messages; until the next :meth:`look`."""
         self._looked = np.inf
 
-    def _waited(self, now: float) -> float:
-        """For how long [s] a message that comes ``now`` [s] may have waited."""
+    def _waited(self) -> float:
+        """For how long [s] a message that comes now may have waited."""
+        now = self.wall()
         return max(now - self._looked, self._held if now < self._fresh_from else 0.0)
 
     def too_old(self, what: str) -> str:
         """Why ``what`` has just come and is no goal; empty if it is one."""
-        return f"{what} is not of now: it came while the node was held up" if self._waited(self.now()) > _OLD else ""
+        return f"{what} is not of now: it came while the node was held up" if self._waited() > _OLD else ""
 
     def take(self) -> Request | None:
         """The newest request, once."""
@@ -125,9 +130,9 @@ class RequestQueue:
                     raise InputError(
                         f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
                     )
-        if self._waited(now := self.now()) > self.settings.safety.cmd_vel:
+        if self._waited() > self.settings.safety.cmd_vel:
             raise InputError("the wrench is not of now: it came while the node was held up")
-        self._wrench, self._wrench_at = np.concatenate([force, torque]), now
+        self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
     def reject(self, message: str) -> None:
         """Say once why a goal is not taken."""
@@ -215,7 +220,7 @@ class RequestQueue:
         over = float(np.max(np.abs(target) / self._fastest))
         previous, self._twist_at = self._twist_at, self.now()
         pause = self.settings.safety.cmd_vel
-        if np.any(target) and self._waited(self._twist_at) > pause:
+        if np.any(target) and self._waited() > pause:
             raise InputError("the speed is not of now: it came while the node was held up")
         self._latched = self._latched and bool(np.any(target)) and self._twist_at - previous <= pause
         if self._latched:
