@@ -153,7 +153,7 @@ class _Reader:
             )
         if kind in ("int", "float") and len(text) > MAX_DIGITS:
             self._fail(event, path, f"a number of {len(text)} characters; at most {MAX_DIGITS} are read")
-        if kind in ("int", "float") and "_" in text and not (_THOUSANDS.fullmatch(text) or "x" in text.lower()):
+        if kind in ("int", "float") and "_" in text and not _THOUSANDS.fullmatch(text):
             self._fail(
                 event, path, f"'{text}' has an underscore that separates no thousands; write digits, or quote a text"
             )

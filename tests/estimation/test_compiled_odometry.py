@@ -55,7 +55,8 @@ def test_one_step_is_that_of_the_textbook(gyro: bool, seed: int) -> None:
     a["mean"][:], a["p"][:], a["covariance"][:] = rng.normal(size=size), p.ravel(), q.ravel()
     for name in ("twist", "by_wheels", "correction"):
         a[name][:] = 0.3 * rng.normal(size=a[name].size)
-    a["interval"][:] = [h, turn, float(gyro), 1e-4]
+    lost = (0.02, 0.0 if gyro else 0.03)
+    a["interval"][:] = [h, turn, float(gyro), 1e-4, *lost]
     mean, by = a["mean"].copy(), a["by_wheels"].reshape(3, 8).copy()
     twist = a["twist"] + by @ (mean[WHEELS:] - a["correction"])
     memory.advance()
@@ -68,7 +69,7 @@ def test_one_step_is_that_of_the_textbook(gyro: bool, seed: int) -> None:
     rate = turn / h - mean[BIAS] if gyro else twist[2] / h
     late, behind = (rate * noise.age) ** 2 + a["interval"][Interval.COUNTS], rate * noise.mean_age
     after = f @ p @ f.T
-    after[:3, :3] += g @ q @ g.T
+    after[:3, :3] += g @ q @ g.T + np.diag([lost[0], *lost])
     after[BIAS, BIAS] += noise.gyro_walk**2 * h
     moved[LATE], after[LATE, LATE] = -behind, late
     if gyro:

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from wbmpc.bases import base_type
+from wbmpc.bases.swerve.ros_leg_control import LegControl
+from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.wheels.control import wheels_base
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
@@ -124,7 +126,9 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     robot = load_robot("differential-ur10")
     settings, bus, now = settings_of(robot)(), Listening(), [10.0]
     bus.publishers = lambda *given: []  # type: ignore[attr-defined]
-    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    queue = RequestQueue(
+        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
+    )  # type: ignore[arg-type]
     speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
     queue.look()
     speed(0.5)
@@ -153,6 +157,64 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     assert queue.take() is not None and not queue._latched
 
 
+@pytest.mark.parametrize(("seconds", "old"), [(0.05, ""), (0.7, "wrench"), (3.0, "wrench goal legs")])
+def test_goals_and_commands_that_waited_in_a_process_that_was_held_up_do_not_count(seconds: float, old: str) -> None:
+    """Goals, wrenches, commands for legs and brakes that were sent meanwhile; sent again they count. Truth: by hand."""
+    robot = load_robot("swerve-ur10")
+    settings, bus, now = SwerveRosSettings(topics={"wrench": "/wrench"}), Listening(), [10.0]
+    queue = RequestQueue(
+        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
+    )  # type: ignore[arg-type]
+    bus.serve = lambda topic, kind, answer, **keys: bus.take.update({topic: answer})  # type: ignore[attr-defined]
+    adapter = SimpleNamespace(robot=robot, settings=settings, brakes=None, snapshot=lambda: None)
+    legs = LegControl(SimpleNamespace(node=bus, request_queue=queue, running=True), adapter).commands  # type: ignore[arg-type]
+    header = SimpleNamespace(frame_id="odom", stamp=SimpleNamespace(sec=0, nanosec=0))
+    pose = SimpleNamespace(
+        position=SimpleNamespace(x=1.0, y=0.0, z=0.0), orientation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
+    )
+    wrench = SimpleNamespace(force=SimpleNamespace(x=1.0, y=0.0, z=0.0), torque=vector())
+    posed = SimpleNamespace(header=header, pose=pose)
+    answer: list[Any] = []
+
+    def counted() -> str:
+        """What counts of all that is sent now."""
+        bus.take["/wrench"](SimpleNamespace(header=header, wrench=wrench))
+        goals = []
+        for topic in ("/goal_pose", "/end_effector_goal", "/base_path", "/end_effector_path"):
+            bus.take[topic](SimpleNamespace(header=header, pose=pose, poses=[posed]))
+            goals.append(queue.take() is not None)
+        orders = []
+        for send in (
+            lambda: bus.take["/brakes"](SimpleNamespace(data=[0.0] * 4)),
+            lambda: bus.take["/leg_configuration"](SimpleNamespace(data="X")),
+            lambda: bus.take["/legs"](SimpleNamespace(name=legs.names[:1], position=[0.1])),
+            lambda: answer.append(
+                bus.take["/set_legs"](SimpleNamespace(configuration="X", leg=[], angle=[], brake_open=[]))["success"]
+            ),
+        ):
+            legs.drop()
+            send()
+            orders.append(legs.waiting)
+        assert len({*goals}) == len({*orders}) == 1 and answer[-1] is orders[-1]
+        named = {"wrench": bool(np.any(queue.wrench())), "goal": goals[0], "legs": orders[0]}
+        return " ".join(name for name, counts in named.items() if counts)
+
+    queue.look()
+    assert counted() == "wrench goal legs"
+    now[0] += 0.6  # the wrench runs out
+    queue.look_away()
+    queue.look()
+    now[0] += seconds
+    count = " ".join(n for n in ("wrench", "goal", "legs") if n not in old)
+    assert counted() == count  # in another thread than the node's own, which goes on first
+    queue.look()
+    assert counted() == count
+    for _ in range(8):
+        now[0] += 0.02
+        queue.look()
+    assert counted() == "wrench goal legs"
+
+
 def test_a_plan_from_before_a_process_was_held_up_sends_no_trajectory() -> None:
     """The node's own thread goes on before the controller's, which stops the robot. By hand: ticks at 0.5 s, then at 2.5 s, limit 0.1 s; an arm
     that follows trajectories stands by then, and the plan is elsewhere."""
@@ -167,3 +229,16 @@ def test_a_plan_from_before_a_process_was_held_up_sends_no_trajectory() -> None:
         runner._beat = min(now, 0.5)
         ControlNode._send_setpoints(control)  # type: ignore[arg-type]
     assert sent == [0.5, 0.55]
+
+
+def test_a_simulated_time_that_leaps_has_held_nothing_up() -> None:
+    """The first time of a simulator, and of one that was restarted: goals and speeds count. By hand: leaps of 1000 s and 100 s."""
+    robot = load_robot("differential-ur10")
+    settings, bus, now = settings_of(robot)(), Listening(), [0.0]
+    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    for leap in (1000.0, 100.0):
+        queue.look()
+        now[0] += leap
+        queue.look()
+        bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
+        assert queue.take() is not None and not queue.rejected

@@ -81,8 +81,11 @@ class ControlNode:
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
+        wall = (
+            (lambda: 0.0) if settings.lockstep else time.monotonic
+        )  # there the bus waits, however slow the machine is
+        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady, wall)
         self.base_commands = self.adapter.base_commands(self)
-        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady)
         self.planning = Planning(self.adapter.references)
         self.obstacles = ObstacleTopics(node, self.adapter, settings, steady, self.now, self._plan_origin)
         self.command_conflicts = CommandConflicts(node, [c.topic for c in settings.command_topics(robot).values()])

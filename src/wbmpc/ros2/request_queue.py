@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -31,6 +32,8 @@ _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 _LATEST = 60.0
 #: So long [s] after a process that was held up goes on messages that waited come.
 _WAITED = 0.1
+#: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
+_OLD = 1.0
 #: So far [m] under the floor or over the base's own height a goal of the base is still one: localizations in space are not exact.
 _OFF_FLOOR = 0.5
 
@@ -39,18 +42,21 @@ class RequestQueue:
     """Listens to goals; the newest one counts, but paths of base and end effector go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
-    ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out. ``running``: the task in
-    force, set by who takes them up.
+    ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out; ``wall()`` [s]: by which a process was
+    held up. ``running``: the task in force, set by who takes them up.
     """
 
-    def __init__(self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time) -> None:
-        self.node, self.planner, self.settings, self.origin, self.now = node, planner, settings, origin, now
+    def __init__(
+        self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time, wall: Time = time.monotonic
+    ) -> None:  # fmt: skip
+        self.node, self.planner, self.settings = node, planner, settings
+        self.origin, self.now, self.wall = origin, now, wall
         self.rejected = self._limited = ""
         self.running: Task | None = None
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
-        self._twist_at, self._looked, self._fresh_from = -np.inf, np.inf, -np.inf
+        self._twist_at, self._looked, self._fresh_from, self._held = -np.inf, np.inf, -np.inf, 0.0
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
@@ -64,25 +70,30 @@ class RequestQueue:
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
                 node.subscribe(
-                    topic,
-                    settings.topics.requests[key],
-                    partial(self._try, topic, take),
-                    DEFAULT,
-                    deferred=True,
+                    topic, settings.topics.requests[key], partial(self._try, topic, take), DEFAULT, deferred=True,
                     largest=LONG,
-                )
+                )  # fmt: skip
 
     # ------------------------------------------------------------------ taken up
     def look(self) -> None:
-        """To be called at every step: speeds that come while it is not are not of now."""
-        now = self.now()
-        if now - self._looked > self.settings.safety.cmd_vel:
-            self._fresh_from = now + _WAITED
+        """To be called at every step: messages that come while it is not are not of now."""
+        now = self.wall()
+        if now - self._looked > _WAITED:
+            self._held, self._fresh_from = self._waited(), now + _WAITED
         self._looked = now
 
     def look_away(self) -> None:
-        """What the node does now may take long, and is no reason to miss speeds; until the next :meth:`look`."""
+        """What the node does now may take long, and is no reason to miss messages; until the next :meth:`look`."""
         self._looked = np.inf
+
+    def _waited(self) -> float:
+        """For how long [s] a message that comes now may have waited."""
+        now = self.wall()
+        return max(now - self._looked, self._held if now < self._fresh_from else 0.0)
+
+    def too_old(self, what: str) -> str:
+        """Why ``what`` has just come and is no goal; empty if it is one."""
+        return f"{what} is not of now: it came while the node was held up" if self._waited() > _OLD else ""
 
     def take(self) -> Request | None:
         """The newest request, once."""
@@ -119,6 +130,8 @@ class RequestQueue:
                     raise InputError(
                         f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
                     )
+        if self._waited() > self.settings.safety.cmd_vel:
+            raise InputError("the wrench is not of now: it came while the node was held up")
         self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
     def reject(self, message: str) -> None:
@@ -148,6 +161,12 @@ class RequestQueue:
         except Exception as error:
             self.reject(f"{topic}: {error_message(error)}")
 
+    def _put_goal(self, request: Request, kind: str = "") -> None:
+        """As :meth:`_put`. Raises :class:`InputError` for a goal that waited too long."""
+        if why := self.too_old("the goal"):
+            raise InputError(why)
+        self._put(request, kind)
+
     def _put(self, request: Request, kind: str = "") -> None:
         """``kind`` of paths: a path replaces what waits but for the other kind of path."""
         self._moving = False
@@ -158,11 +177,11 @@ class RequestQueue:
     def _goal_pose(self, message: Any) -> None:
         frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
         self._check_floor(frame, p[None])
-        self._put(lambda x, t: self.planner.to_base(x, t, planar(*self._in_world(frame, x, p, q))))
+        self._put_goal(lambda x, t: self.planner.to_base(x, t, planar(*self._in_world(frame, x, p, q))))
 
     def _end_effector_goal(self, message: Any) -> None:
         frame, (p, q) = self._frame(message.header), read_pose(message.pose, "the goal")
-        self._put(lambda x, t: self.planner.to_end_effector(x, t, *self._in_world(frame, x, p, q)))
+        self._put_goal(lambda x, t: self.planner.to_end_effector(x, t, *self._in_world(frame, x, p, q)))
 
     def _base_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
@@ -175,7 +194,7 @@ class RequestQueue:
             keep = going is not None and not going.carried and going.end_effector.times[-1] > t
             return self.planner.along_base_path(x, t, track, going.end_effector if going is not None and keep else None)
 
-        self._put(request, "base path")
+        self._put_goal(request, "base path")
 
     def _end_effector_path(self, message: Any) -> None:
         frame, positions, turned, times = self._path(message)
@@ -187,7 +206,7 @@ class RequestQueue:
             keep = going is not None and going.base.times[-1] > t and going.base.times.size > 1
             return self.planner.along_end_effector_path(x, t, track, going.base if going is not None and keep else None)
 
-        self._put(request, "end effector path")
+        self._put_goal(request, "end effector path")
 
     def _take_speed(self, message: Any) -> None:
         """A Twist or a TwistStamped, in the base's axes."""
@@ -201,7 +220,7 @@ class RequestQueue:
         over = float(np.max(np.abs(target) / self._fastest))
         previous, self._twist_at = self._twist_at, self.now()
         pause = self.settings.safety.cmd_vel
-        if np.any(target) and (self._twist_at - self._looked > pause or self._twist_at < self._fresh_from):
+        if np.any(target) and self._waited() > pause:
             raise InputError("the speed is not of now: it came while the node was held up")
         self._latched = self._latched and bool(np.any(target)) and self._twist_at - previous <= pause
         if self._latched:

@@ -19,7 +19,7 @@ from wbmpc.arrays import Array
 from wbmpc.bases.swerve.late_poses import LatePoses
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State
 from wbmpc.bases.swerve.odometry_memory import OdometryMemory
-from wbmpc.bases.swerve.odometry_step import BIAS, LATE, WHEELS, Interval, Way
+from wbmpc.bases.swerve.odometry_step import BIAS, LATE, UNSURE, WHEELS, Interval, Way
 from wbmpc.bases.swerve.slip_step import Slip
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import Increment, Mask, Sample, WheelOdometry
@@ -267,8 +267,11 @@ class FusedOdometry:
         self._memory.wheels.run()
         turned = np.abs(a["now"][n : 2 * n] - a["before"][n : 2 * n])  # the way's direction is as uncertain
         apart = float(np.max((GAP_SHARE + turned) * np.abs(a["rolled"]))) + GAP_SPEED * h + minimum
+        slid = UNSURE * float(np.linalg.norm(a["residual"])) / np.sqrt(max(2 * n - 3, 1))
+        apart = float(np.hypot(apart, slid))
         a["covariance"][:] = (np.diag([apart, apart, apart / self._arm(a["now"][:n])]) ** 2).ravel()
-        a["smoothed"][:], a["by_wheels"][:], a["interval"][:] = 0.0, 0.0, [h, 0.0, 0.0, 0.0]
+        a["smoothed"][:], a["by_wheels"][:], a["interval"][:] = 0.0, 0.0, 0.0
+        a["interval"][Interval.H] = h
 
     def _checked_weights(self, values: ArrayLike) -> Array:
         """Weights (n) of wheels, two or more above 0, or :class:`InputError`."""

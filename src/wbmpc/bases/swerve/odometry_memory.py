@@ -44,6 +44,7 @@ class OdometryMemory:
         self.state_end = int(ends[len(state) - 1])
         scratch = {"pose": 12, "by": 6 * n, "spread": 9, "cross": size}
         memory = {"off": 2 * n, "rolled_off": n, "way": int(Way.SIZE), "smoothed": 6 * n, "slip_mean": WINDOWS * 2 * n}
+        memory["apart"] = 2 * n + 1
         self.arrays = {
             **self.wheels.memory,
             **kept,

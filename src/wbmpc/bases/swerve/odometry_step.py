@@ -21,6 +21,11 @@ SMOOTHING = 0.05
 SMALLEST = 1e-9
 #: Standard deviation [m/√s] of a velocity by an inertial unit: 0.02 m/s that last for 0.3 s.
 COASTING = 0.01
+#: Wheels that contradict each other, or the gyro, by more than this [m/s], averaged over so long [s], for longer than this [s], slide: no noise
+#: of each interval, but an error that adds up.
+SLIDES, AVERAGED, BRIEF = 0.05, 0.1, 0.5
+#: Standard deviation of the base's velocity then, as a share of the contradiction: by the wheels, and with an inertial unit's velocity.
+UNSURE, COASTS = 0.7, 0.15
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
 BIAS, LATE, WHEELS = 3, 4, 5
 
@@ -46,7 +51,9 @@ class Interval(IntEnum):
     TURN = 1  # what the gyro saw [rad]
     HAS_GYRO = 2  # 1, or 0 without
     COUNTS = 3  # variance [rad²] of the wheels' turn by counts
-    SIZE = 4
+    LOST = 4  # variance [m²] that wheels which slide add to each component of the pose
+    LOST_TURN = 5  # and [rad²] to the yaw, where no gyro sees it
+    SIZE = 6
 
 
 class Way(IntEnum):
@@ -75,6 +82,9 @@ class Odometry(NamedTuple):
     off: Floats  # (n, 2) [m], contradictions in the present piece of way
     rolled_off: Floats  # (n) [m], and what wheels rolled in it
     way: Floats  # Way
+    apart: (
+        Floats  # (n, 2) [m/s], contradictions of wheels and gyro, averaged; then for how long [s] they have been large
+    )
     smoothed: Floats  # (3, 2n), derivatives of the twist's rate, averaged
     pose: Floats  # derivative (3, 3) of the move by the twist, then the move (3)
     by: Floats  # (3, 2n), of the move by the wheels; scratch
@@ -161,6 +171,45 @@ def coast(w: Wheels, o: Odometry, h: float) -> None:
         o.covariance[4 * j] += ((1.0 - share) * COASTING) ** 2 * h
 
 
+@compiled
+def slide(w: Wheels, o: Odometry, h: float) -> None:
+    """What wheels add to the uncertainty that have contradicted each other, or the gyro, for long: the longer, the more in each interval. A
+    wheel that counts little beside others is no contradiction; beside one alone it is."""
+    n, apart, interval, covariance = w.n, o.apart, o.interval, o.covariance
+    top, total, mx, my, arm = SMALLEST, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        top = max(top, w.weights[i])
+        total += w.weights[i]
+        mx += w.weights[i] * w.axes[2 * i]
+        my += w.weights[i] * w.axes[2 * i + 1]
+    mx, my = mx / total, my / total
+    has_gyro = interval[Interval.HAS_GYRO] > 0.0
+    more, freedoms = 0.0, -3.0
+    if has_gyro:
+        more, freedoms = w.twist[2] - interval[Interval.TURN] + o.mean[BIAS] * h, -2.0
+    new, square = 1.0 - np.exp(-h / AVERAGED), 0.0
+    for i in range(n):
+        x, y, share = w.axes[2 * i] - mx, w.axes[2 * i + 1] - my, 1.0
+        if total > 1.5 * top:
+            share = w.weights[i] / top
+        apart[2 * i] += new * ((w.residual[2 * i] - more * y) / h - apart[2 * i])
+        apart[2 * i + 1] += new * ((w.residual[2 * i + 1] + more * x) / h - apart[2 * i + 1])
+        square += share * (apart[2 * i] ** 2 + apart[2 * i + 1] ** 2)
+        freedoms += 2.0 * share
+        arm += (x * x + y * y) / n
+    square /= max(freedoms, 1.0)
+    apart[2 * n] = apart[2 * n] + h if square > SLIDES**2 else max(apart[2 * n] - h, 0.0)
+    lasts = max(apart[2 * n] - BRIEF, 0.0)
+    square *= (COASTS if o.inertial[2] > 0.0 else UNSURE) ** 2
+    # an error v of the velocity has moved the base by v t: what its variance grows by
+    interval[Interval.LOST], interval[Interval.LOST_TURN] = 2.0 * square * lasts * h, 0.0
+    if not has_gyro:
+        interval[Interval.LOST_TURN] = interval[Interval.LOST] / arm
+    if lasts > 0.0:
+        covariance[0] += square * h * h
+        covariance[4] += square * h * h
+
+
 @step
 def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> None:
     """What the wheels say of the interval of ``h`` [s] from ``before`` to ``now``, into ``interval``, ``twist``, ``by_wheels``,
@@ -175,6 +224,7 @@ def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> No
     interval[Interval.H], interval[Interval.TURN], interval[Interval.HAS_GYRO] = h, turn, float(has_gyro)
     interval[Interval.COUNTS] = counts
     coast(w, o, h)
+    slide(w, o, h)
 
 
 @compiled
@@ -256,6 +306,9 @@ def advance(w: Wheels, o: Odometry) -> None:
         for j in range(3):
             for k in range(3):
                 p[row * size + j] += spread[3 * row + k] * pose[3 * j + k]
+    p[0] += interval[Interval.LOST]
+    p[size + 1] += interval[Interval.LOST]
+    p[2 * size + 2] += interval[Interval.LOST_TURN]
     p[BIAS * size + BIAS] += noise[Noise.GYRO_WALK] ** 2 * h
     p[LATE * size + LATE], mean[LATE] = late, -behind
     if has_gyro:

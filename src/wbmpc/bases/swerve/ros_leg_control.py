@@ -26,8 +26,11 @@ class LegControl(BaseCommands):
         self.commands = Legs(control.node, adapter.robot, adapter.settings, self._rejection_reason, self._state)
 
     def _rejection_reason(self) -> str:
-        """Why legs cannot be moved now; empty if they can."""
-        return "" if self.control.running else self.control.waiting_reason()
+        """Why a command that comes now cannot move legs; empty if it can."""
+        control = self.control
+        if why := control.request_queue.too_old("the command"):
+            return why
+        return "" if control.running else control.waiting_reason()
 
     def _brake_time(self) -> float:
         """Time [s] from which on brakes can still be scheduled."""
