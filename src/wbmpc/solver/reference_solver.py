@@ -391,10 +391,8 @@ class InterpretedSolver(InterpretedLineSearch):
 
     def _shift_rows(self, delta: float) -> None:
         """As shift_rows of the compiled solver."""
-        if delta >= self.ws.grid[-1] - self.ws.grid[0]:
-            return
         nodes, times = self.own[:-1], self.ws.grid[:-1]
-        for name in ("t", "l", "s"):
+        for name in ("t", "l", "s") if delta < self.ws.grid[-1] - self.ws.grid[0] else ():
             numbers = np.array([getattr(rows, name) for rows in nodes])
             moved = np.array([np.interp(times + delta, times, c) for c in numbers.T]).reshape(-1, len(nodes))
             for rows, own in zip(nodes, moved.T, strict=True):
