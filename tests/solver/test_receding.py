@@ -12,18 +12,18 @@ from wbmpc.model.ode import Ode
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals, sets
 from wbmpc.solver import SQP, InteriorPoint, Solver, Status
-from wbmpc.solver.memory_layout import ROW_L, ROW_S, ROW_T, ROWS, N
-from wbmpc.solver.receding import align, make_tables, sample_all, shift, shift_rows
+from wbmpc.solver.memory_layout import ROW_L, ROWS, N
+from wbmpc.solver.receding import align, make_tables, sample_all, shift, shift_multipliers
 
 
 def shifted(solver: Solver, delta: float) -> None:
     if solver.settings.backend == "interpreted":
         solver.twin._shift(delta)
-        solver.twin._shift_rows(delta)
+        solver.twin._shift_multipliers(delta)
     else:
         tables = solver._current_tables()
         align(solver.ws.memory, solver.ws.table, *tables, 0.0)
-        shift_rows(solver.ws.memory, solver.ws.table, delta)
+        shift_multipliers(solver.ws.memory, solver.ws.table, delta)
         shift(solver.ws.memory, solver.ws.table, delta)
 
 
@@ -214,32 +214,28 @@ def swing(backend: str) -> Solver:
     return solver
 
 
-def rows_of(solver: Solver) -> dict[str, np.ndarray]:
-    """Slacks and multipliers (N, rows) of the path, as views of the compiled solver's memory or copies of the twin's."""
+def multipliers(solver: Solver) -> np.ndarray:
+    """Of the path's rows (N, rows), as a view of the compiled solver's memory or a copy of the twin's."""
     if solver.settings.backend == "interpreted":
-        return {name: np.array([getattr(r, name) for r in solver.twin.own[:-1]]) for name in "tls"}
+        return np.array([r.l for r in solver.twin.own[:-1]])
     m, o = solver.ws.memory, solver.ws.table
     n, rows = int(o[N]), int(o[ROWS])
-    return {
-        name: m[o[at] : o[at] + n * rows].reshape(n, rows)[:, : len(solver.problem.path.rows)]
-        for name, at in (("t", ROW_T), ("l", ROW_L), ("s", ROW_S))
-    }
+    return np.asarray(m[o[ROW_L] : o[ROW_L] + n * rows].reshape(n, rows)[:, : len(solver.problem.path.rows)])
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
 @pytest.mark.parametrize("delta", [0.013, 0.2, 0.55, 5.0])
-def test_slacks_and_multipliers_move_with_the_plan(backend: str, delta: float) -> None:
+def test_multipliers_move_with_the_plan(backend: str, delta: float) -> None:
     """NumPy's interpolation over the nodes that have inputs: a limit that is active until some time stays so until then. After a pause of a
     whole horizon, 1 s, they stay."""
     solver = swing(backend)
     solver.solve(np.array([0.2, 0.1]))
-    before, times = {k: v.copy() for k, v in rows_of(solver).items()}, solver.ws.grid[:-1]
-    assert np.ptp(before["l"], axis=0).max() > 0.1
+    before, times = multipliers(solver).copy(), solver.ws.grid[:-1]
+    assert np.ptp(before, axis=0).max() > 0.1
     shifted(solver, delta)
-    for name, values in rows_of(solver).items():
-        moved = delta if delta < 1.0 else 0.0
-        want = np.stack([np.interp(times + moved, times, c) for c in before[name].T], axis=1)
-        np.testing.assert_allclose(values, want, rtol=1e-12, atol=1e-14, err_msg=name)
+    moved = delta if delta < 1.0 else 0.0
+    want = np.stack([np.interp(times + moved, times, c) for c in before.T], axis=1)
+    np.testing.assert_allclose(multipliers(solver), want, rtol=1e-12, atol=1e-14)
 
 
 def trolley(settings: SQP) -> Solver:

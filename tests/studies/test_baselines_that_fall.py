@@ -50,7 +50,7 @@ def driven() -> Log:
     log, sizes = Log(), {"leg": 4, "leg_reference": 4, "brake": 4, "wheel_slip": 1, "wheel_force": 4}
     for name, off in (("tour", 3e-3), ("baseline", 4e-3)):
         for t in (0.0, 1.0, 2.0):
-            for channel, size in {**sizes, "base_reference": 3, "joint_speed": 12, "wanted": SWERVE.input.size}.items():
+            for channel, size in {**sizes, "base_reference": 3, "drive_speed": 12, "wanted": SWERVE.input.size}.items():
                 log.add(f"{name}.{channel}", t, np.zeros(size))
             log.add(f"{name}.base_odometry", t, np.array([off, 0.0, 0.0]))
             log.add(f"{name}.base", t, np.array([0.0, off**2 / 1e-3, 0.0]))

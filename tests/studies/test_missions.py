@@ -124,10 +124,10 @@ def test_speeds_are_compared_with_the_limits_of_the_robot_that_drives(factor: fl
     slower = RobotModel(SWERVE.description.model_copy(update={"limits": limits}))
     log = Log()
     # of the paper's robot: hinges 0.5 rad/s, steering 5.76, wheels 11.52
-    log.add("tour.joint_speed", 0.0, np.repeat([-0.25, 0.0, 0.0], 4))
-    log.add("tour.joint_speed", 0.1, np.repeat([0.0, 0.0, 1.152], 4))
+    log.add("tour.drive_speed", 0.0, np.repeat([-0.25, 0.0, 0.0], 4))
+    log.add("tour.drive_speed", 0.1, np.repeat([0.0, 0.0, 1.152], 4))
     assert speed_ratio(log, slower) == pytest.approx(0.5 / factor)
-    log.add("tour.joint_speed", 0.2, np.repeat([0.0, -5.76, 0.0], 4))
+    log.add("tour.drive_speed", 0.2, np.repeat([0.0, -5.76, 0.0], 4))
     assert speed_ratio(log, slower) == pytest.approx(1.0 / factor)
 
 

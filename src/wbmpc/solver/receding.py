@@ -23,9 +23,7 @@ from wbmpc.solver.memory_layout import (
     NU,
     NX,
     ROW_L,
-    ROW_S,
     ROW_T,
-    ROW_Y,
     ROWS,
     SLOPES,
     STATE,
@@ -231,21 +229,12 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
 
 
 @compiled
-def shift_numbers(m: Floats, o: Integers, numbers: int, k: int, i: int, a: float) -> None:
-    """A number for each row, from those of the nodes i ≥ k and i + 1, of which ``a`` counts, to node k. They may be infinite."""
-    inner = a > 0.0 and i < o[N] - 1
-    new, old, after, share = numbers + k * o[ROWS], numbers + i * o[ROWS], o[ROWS] if inner else 0, a if inner else 0.5
-    for j in range(0, o[ROWS], LANES):
-        here, there = old + j, old + j + after
-        m[new + j : new + j + LANES] = (1.0 - share) * m[here : here + LANES] + share * m[there : there + LANES]
+def shift_multipliers(m: Floats, o: Integers, delta: float) -> None:
+    """Move multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then. Slacks follow
+    from the iterate.
 
-
-@compiled
-def shift_rows(m: Floats, o: Integers, delta: float) -> None:
-    """Move slacks and multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then.
-
-    All stay after a pause of a whole horizon, and where multiplier rows are among them: contradictory limits show in multipliers that grow
-    at their nodes."""
+    All stay after a pause of a whole horizon, and where rows are not all inequalities: contradictory limits show in multipliers that grow at
+    their nodes."""
     n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
     if delta >= m[g + n] - m[g]:
         return
@@ -259,10 +248,11 @@ def shift_rows(m: Floats, o: Integers, delta: float) -> None:
             i += 1
         if i >= k:  # backwards in time they stay
             a = (t - m[g + i]) / (m[g + i + 1] - m[g + i])
-            shift_numbers(m, o, o[ROW_T], k, i, a)
-            shift_numbers(m, o, o[ROW_L], k, i, a)
-            shift_numbers(m, o, o[ROW_S], k, i, a)
-            shift_numbers(m, o, o[ROW_Y], k, i, a)
+            inner = a > 0.0 and i < n - 1
+            to, source, after = o[ROW_L] + k * o[ROWS], o[ROW_L] + i * o[ROWS], o[ROWS] if inner else 0
+            for j in range(0, o[ROWS], LANES):
+                here, there = source + j, source + j + after
+                m[to + j : to + j + LANES] = (1.0 - a) * m[here : here + LANES] + a * m[there : there + LANES]
 
 
 @compiled
@@ -281,7 +271,7 @@ def receding_solve(
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
         if row_count(o) > 0 and settings[Setting.KEEP_SLACKS] == 0.0:
-            shift_rows(m, o, delta)
+            shift_multipliers(m, o, delta)
         shift(m, o, delta)
     m[o[STATE] + StateField.BLOCKED_TIME] += delta
     sample_all(m, o, numbers, integers, t0)

@@ -75,7 +75,7 @@ class InterpretedSolver(InterpretedLineSearch):
         if delta > 0.0:
             self._shift(delta)
             if not c.keep_slacks and self.own[0].hard.all():
-                self._shift_rows(delta)
+                self._shift_multipliers(delta)
         self.mu, self.shift = max(c.initial_barrier, c.keep_multipliers * self.mu), 0.0
         start_adaptive.python(ws.state, 0)
         ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
@@ -389,11 +389,11 @@ class InterpretedSolver(InterpretedLineSearch):
         for row in ws.x:
             self._normalize(row)
 
-    def _shift_rows(self, delta: float) -> None:
-        """As shift_rows of the compiled solver."""
+    def _shift_multipliers(self, delta: float) -> None:
+        """As shift_multipliers of the compiled solver."""
         nodes, times = self.own[:-1], self.ws.grid[:-1]
-        for name in ("t", "l", "s") if delta < self.ws.grid[-1] - self.ws.grid[0] else ():
-            numbers = np.array([getattr(rows, name) for rows in nodes])
+        if delta < self.ws.grid[-1] - self.ws.grid[0]:
+            numbers = np.array([rows.l for rows in nodes])
             moved = np.array([np.interp(times + delta, times, c) for c in numbers.T]).reshape(-1, len(nodes))
             for rows, own in zip(nodes, moved.T, strict=True):
-                setattr(rows, name, own.copy())
+                rows.l = own.copy()

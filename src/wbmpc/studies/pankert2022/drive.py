@@ -122,7 +122,7 @@ def build(settings: SwerveDriveSettings, seed: int) -> Scenario:
             Part("knock", partial(aside, "knock", *straight(robot, "X", True), 4.0)),
             *(Part(name, partial(aside, name, *way, None)) for name, way in closed.items()),
         ],
-        measured, lambda run: [*plots(bench.log, robot), *bench.joints["tour"].plots()], IDEALIZATIONS,
+        measured, lambda run: [*plots(bench.log, robot), *bench.joint_plots()], IDEALIZATIONS,
     )  # fmt: skip
 
 

@@ -126,7 +126,7 @@ def build(settings: LegsSettings, seed: int) -> Scenario:
 
     return Scenario.single(
         bench.log, lambda progress: bench.planned("tour", mission, TOUR, uneven_floor, progress=progress)[0], measured,
-        lambda run: [*plots(bench.log, robot), *bench.joints["tour"].plots()], IDEALIZATIONS,
+        lambda run: [*plots(bench.log, robot), *bench.joint_plots()], IDEALIZATIONS,
     )  # fmt: skip
 
 

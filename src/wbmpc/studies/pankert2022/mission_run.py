@@ -23,12 +23,16 @@ from wbmpc.experiment import Loop, Outcome
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Reference
+from wbmpc.result import Plot
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.pankert2022.drive_missions import Knock, MissionSettings
 from wbmpc.studies.pankert2022.mission import Mission, at_home, carried_poses
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.types import Timing, Truth
+
+#: The run whose joints are recorded.
+TOUR_RUN = "tour"
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,15 @@ class MissionRun:
     seed: int
     log: Log
     estimation: EstimatorSettings  # what every controller knows of the wheels
-    joints: dict[str, JointRecord] = field(default_factory=dict)  # of the runs with the MPC, by name
+    joints: dict[str, JointRecord] = field(default_factory=dict)  # of the tour that is driven with the MPC
 
     @classmethod
     def of(cls, settings: MissionSettings, robot: RobotModel, seed: int) -> MissionRun:
         return cls(settings, robot, seed, Log(), settings.estimation(robot, seed))
+
+    def joint_plots(self) -> list[Plot]:
+        """Joints of the tour with their limits; none where it did not begin."""
+        return [plot for record in self.joints.values() for plot in record.plots()]
 
     def start(
         self, mission: Mission, edit: Callable[[mujoco.MjSpec], None] | None = None
@@ -109,15 +117,16 @@ class MissionRun:
         mpc.reset(home)
         hit = None if knock is None else Knock(knock, plant, plant.time, corners(robot)["LF"])
         plant.external = hit
-        joints = JointRecord(self.log, robot, System(plant, controller, mpc, timing), f"{name}.")
-        self.joints[name] = joints
+        if name == TOUR_RUN:
+            self.joints[name] = JointRecord(self.log, robot, System(plant, controller, mpc, timing), f"{name}.")
 
         def record(now: float, command: Any, plans: Any) -> None:
             if round(now / timing.period) % 4 == 0:
                 truth = plant.truth()
                 self.record(name, now, truth, controller, mission, command)
-                self.log.add(f"{name}.state", now, truth.state)
-                self.log.add(f"{name}.input", now, plans.current.feedforward(now))
-                joints.tick(now, truth, plans)
+                if name in self.joints:
+                    self.log.add(f"{name}.state", now, truth.state)
+                    self.log.add(f"{name}.input", now, plans.current.feedforward(now))
+                    self.joints[name].tick(now, truth, plans)
 
         return Loop(plant, controller, mpc, timing, duration, record).run(progress), hit
