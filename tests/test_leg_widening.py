@@ -12,8 +12,9 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import wbmpc as wb
+from wbmpc import lie
 from wbmpc.bases import base_type
-from wbmpc.bases.swerve.leg_widening import ENOUGH, TOO_LITTLE, LegWidening
+from wbmpc.bases.swerve.leg_widening import BACK_AFTER, ENOUGH, TOO_LITTLE, LegWidening
 from wbmpc.model.robot import RobotModel
 from wbmpc.ocp import Constraint, Reference, residuals, sets
 from wbmpc.robots import load_spec
@@ -101,6 +102,30 @@ def test_legs_turn_as_fast_as_they_may_and_not_before_their_brakes_are_open(robo
     assert rates.max() == pytest.approx(RATE, rel=1e-6) and (rates < 1.001 * RATE).all()
 
 
+def test_legs_go_back_some_time_after_the_load_is_put_down(robot: RobotModel) -> None:
+    mpc = holding(robot, 15.0)
+    legs, carried = LegWidening(robot, mpc, RATE), mpc.reference["stability"]
+    where = []
+    for t in np.arange(0.0, 40.0, 0.2):
+        mpc.reference["stability"] = carried if t < 10.0 else Reference.constant(np.zeros(10))
+        legs.look(float(t), float(t) + BEGIN)
+        where.append(legs.offset(np.array([t]))[0])
+    asked, times = np.abs(where).max(axis=1), np.arange(0.0, 40.0, 0.2)
+    held = (times > 6.0) & (times < 10.0 + BACK_AFTER)
+    assert np.ptp(asked[held]) == 0.0 and asked[held].min() > 0.3
+    assert not asked[times > 25.0].any() and not legs.moved
+
+
+def test_a_load_beside_the_end_effector_counts_where_it_is(robot: RobotModel) -> None:
+    """12 kg are too light to ask for another stance; 0.3 m farther out they are not. The lever is MuJoCo's: along the reach."""
+    near, far = holding(robot, 12.0), holding(robot, 12.0)
+    rotation = lie.quaternion_to_rotation(robot.pose(robot.home, robot.tool)[1])
+    center = rotation.T @ [0.0, 0.3, 0.0]
+    far.reference["stability"] = Reference.constant([*[0.0] * 6, 12.0, *center])
+    np.testing.assert_array_equal(widened(robot, near), robot.home)
+    assert np.abs(widened(robot, far) - robot.home).max() > 0.1
+
+
 @pytest.mark.parametrize("kg", [0.0, 3.0])
 def test_a_light_load_moves_no_leg(robot: RobotModel, kg: float) -> None:
     np.testing.assert_array_equal(widened(robot, holding(robot, kg)), robot.home)
@@ -112,8 +137,10 @@ def test_constraints_of_another_kind_may_have_the_name(robot: RobotModel) -> Non
 
 
 def test_only_a_plan_that_knows_loads_or_obstacles_moves_legs(robot: RobotModel) -> None:
-    mpc: Any = SimpleNamespace(obstacles=None, reference={"state": None}, ocp=SimpleNamespace(terms={}))
-    assert base_type("swerve").reshaping(robot, mpc, None) is None  # type: ignore[arg-type]
+    own = Constraint("stability", residuals.Input(robot), sets.NonNegative())
+    for terms in ({}, {"stability": own}):
+        mpc: Any = SimpleNamespace(obstacles=None, reference={"state": None}, ocp=SimpleNamespace(terms=terms))
+        assert base_type("swerve").reshaping(robot, mpc, None) is None  # type: ignore[arg-type]
 
 
 def test_wheels_share_a_weight_at_full_reach(robot: RobotModel) -> None:

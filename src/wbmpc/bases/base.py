@@ -250,8 +250,9 @@ class System:
 
 
 class Reshaping(Protocol):
-    """Adapts the shape of a base to the clearance ahead of it (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the robot at home
-    in its narrowest shape; ``free``: the mode in which its shape may change; ``narrow``: whether its shape changes for what lies ahead."""
+    """Adapts the shape of a base to the clearance ahead of it, and to what its arm holds (:meth:`BaseType.reshaping`). ``narrowest`` (nx): the
+    robot at home in its narrowest shape; ``free``: the mode in which its shape may change; ``narrow``: whether its shape
+    changes for what lies ahead."""
 
     narrowest: Array
     free: Mode
@@ -326,8 +327,8 @@ class BaseType(Protocol):
         reject_missing_part(robot.description, "calibrate")
 
     def reshaping(self, robot: RobotModel, mpc: MPC, controller: Controller) -> Reshaping | None:
-        """What makes the base as wide or narrow as the obstacles of ``mpc`` allow where its reference leads, and commands what that needs
-        through ``controller``; None for a base that has one shape."""
+        """What makes the base as wide or narrow as the obstacles of ``mpc`` (which may have none) allow where its reference leads, and its arm
+        asks for; it commands what that needs through ``controller``. None for a base that has one shape."""
         return None
 
     def configurations(self, robot: RobotModel) -> Mapping[str, Array]:

@@ -181,6 +181,14 @@ def has_shapes(robot: RobotModel) -> bool:
         return bool(_GEOMETRIES[robot].shapes)
 
 
+def readable_shapes(robot: RobotModel) -> bool:
+    """Whether a robot has shapes that can be read: for what does without where it cannot."""
+    try:
+        return has_shapes(robot)
+    except InputError:
+        return False
+
+
 def _read(robot: RobotModel) -> list[RobotShape]:
     description = robot.description
     given = description.collision.shapes

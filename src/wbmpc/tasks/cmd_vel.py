@@ -60,7 +60,9 @@ def build(settings: CmdVelSettings, seed: int) -> Scenario:
             found[f"base_error_mean{ending}"] = Metric(float(error.mean()) if error.size else np.inf, "m")
         return found
 
-    return closed_loop(robot, mpc, float(times[-1]), seed, settings, since=settings.settle_time, metrics=metrics)
+    return closed_loop(
+        robot, mpc, float(times[-1]), seed, settings, since=settings.settle_time, metrics=metrics, reshape=True
+    )
 
 
 def _check(robot: RobotModel, settings: CmdVelSettings) -> None:

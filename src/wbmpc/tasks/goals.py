@@ -103,7 +103,9 @@ def build(settings: GoalsSettings, seed: int) -> Scenario:
             "goal_error_max": Metric(float(errors.max()), "m", goal=settings.tolerance),
         }
 
-    return closed_loop(robot, mpc, end, seed, settings, since=settings.settle_time, tick=tick, metrics=metrics)
+    return closed_loop(
+        robot, mpc, end, seed, settings, since=settings.settle_time, tick=tick, metrics=metrics, reshape=True
+    )
 
 
 def final_errors(log: Log, times: Array, length: float) -> Array:

@@ -19,7 +19,9 @@ class HoldSettings(TaskSettings):
 def build(settings: HoldSettings, seed: int) -> Scenario:
     """One run."""
     robot, mpc = settings.prepare()
-    return closed_loop(robot, mpc, settings.settle_time + settings.duration, seed, settings, since=settings.settle_time)
+    return closed_loop(
+        robot, mpc, settings.settle_time + settings.duration, seed, settings, since=settings.settle_time, reshape=True
+    )
 
 
 EXPERIMENT = Experiment.of("hold", "the end effector of any robot stays where it is", HoldSettings, build, DEFINITIONS)

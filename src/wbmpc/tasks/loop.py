@@ -89,7 +89,7 @@ def closed_loop(
     metrics: Callable[[Log], dict[str, Metric]] | None = None, plots: Callable[[Log], Sequence[Plot]] | None = None,
     scene: Sequence[SceneObstacle] | None = None, perception: PerceptionSettings | None = None,
     truth: Callable[[float, Truth], None] | None = None,
-    paced: bool = False, alternatives: bool = False, done: Callable[[], bool] | None = None, reshape: bool = True,
+    paced: bool = False, alternatives: bool = False, done: Callable[[], bool] | None = None, reshape: bool = False,
 ) -> Scenario:  # fmt: skip
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home; ``seed`` of all random numbers.
 
@@ -101,9 +101,10 @@ def closed_loop(
     sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
     (:class:`wbmpc.mpc.reference_pacing.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
     (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance, and has as much more time as another
-    way takes. ``done()``, asked at every controller period: whether the task is done before its time. ``reshape``: whether legs stand wider
-    where the arm pulls (of a base whose legs move, with the constraints "stability"). The references of ``mpc`` are the
-    task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    way takes. ``done()``, asked at every controller period: whether the task is done before its time.
+    ``reshape``: legs stand wider where the arm pulls, of a base whose legs move and an ``mpc`` with the constraints "stability"; among obstacles
+    a base changes its shape where references are ``paced``. The references of ``mpc`` are the task; times begin with the
+    loop. Raises :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)

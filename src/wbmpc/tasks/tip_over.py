@@ -179,7 +179,7 @@ def build(settings: TipOverSettings, seed: int) -> Scenario:
     wheels = robot.description.base.wheel_joints() or rolling
     return closed_loop(
         robot, mpc, ordered + settings.after, seed, settings, since=start, tick=tick, metrics=metrics,
-        plots=lambda log: watch.plots(wheels), truth=watch.see, reshape=False,
+        plots=lambda log: watch.plots(wheels), truth=watch.see,
     )  # fmt: skip
 
 

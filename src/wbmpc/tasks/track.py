@@ -12,7 +12,7 @@ def build(settings: PathTaskSettings, seed: int) -> Scenario:
     """One run; errors count from when the path begins."""
     task = Task(settings)
     since = settings.settle_time
-    return closed_loop(task.robot, task.mpc, task.end, seed, settings, since=since, metrics=task.metrics)
+    return closed_loop(task.robot, task.mpc, task.end, seed, settings, since=since, metrics=task.metrics, reshape=True)
 
 
 EXPERIMENT = Experiment.of(

@@ -109,6 +109,7 @@ class LegFolding:
         """Let a controller that has brakes follow these."""
         if hasattr(controller, "brakes"):
             controller.brakes = self.brakes
+            controller.supervision.report = self.brakes.accept
 
     def update(self, t: float, ahead: Reference | None = None) -> None:
         """Set the reference "state" and the brakes for updates from ``t`` [s] on. ``ahead``: that reference as it goes on if it does not wait:

@@ -2,13 +2,14 @@
 
 The margin is that of the zero-moment point at rest, under the robot's weight, the weight that the end effector carries and what pushes it, as
 the plan's constraints "stability" have them. A weight off the side of the body asks for other legs than one ahead of it, so the stance is
-searched for the postures of the plan.
+searched for the postures of the plan. Where home has been enough for a while the legs go back.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.brake_control import reject_floating_way
 from wbmpc.bases.swerve.model import swerve_base
@@ -28,8 +29,14 @@ PLACES, ROUNDS, SHARES = 15, 4, np.linspace(0.1, 1.0, 10)
 PASSED, AWAY = 20.0, 0.02
 #: Postures of the plan that count, evenly over its horizon.
 POSTURES = 6
-#: Where no better stance was found, none is searched for so long [s].
-PAUSE = 2.0
+#: Where no better stance was found, none is searched for so long [s]; for so long home has to be enough before legs go back.
+PAUSE, BACK_AFTER = 2.0, 5.0
+
+
+def knows_load(mpc: MPC) -> bool:
+    """Whether plans know what the end effector carries: a user's constraint may be called "stability", too."""
+    rows = mpc.ocp.terms.get("stability")
+    return isinstance(getattr(rows, "residual", None), WheelLoads | SupportMargin)
 
 
 class LegWidening:
@@ -42,11 +49,10 @@ class LegWidening:
         limits = robot.limits
         self._range = limits.state_lower[self._leg], limits.state_upper[self._leg]
         self._least = self._stance(robot.home).polygon_margin
-        rows = mpc.ocp.terms.get("stability")
-        #: whether the plan knows what the end effector carries (a user's constraint may have the name, too)
-        self._knows_load = isinstance(getattr(rows, "residual", None), WheelLoads | SupportMargin)
+        self._knows_load = knows_load(mpc)
         zero = np.zeros(self._home.size)
         self._from, self._to, self._begin, self._pause = zero, zero, -np.inf, -np.inf
+        self._too_little = 0.0  # when [s] home was not enough last
 
     @property
     def moved(self) -> bool:
@@ -66,7 +72,13 @@ class LegWidening:
         if not self._least > 0.0 or arrived[0] > t or t < self._pause:
             return
         postures, loads = self._planned(t)
-        now = self._home + self.offset(arrived)[0]
+        self._from = self._to
+        now = self._home + self._to
+        if self._margin(postures, loads, self._home) < ENOUGH * self._least:
+            self._too_little = t
+        elif self.moved and t - self._too_little > BACK_AFTER and not self._floats(now, self._home):
+            self._to, self._begin = np.zeros(self._home.size), begin
+            return
         if self._margin(postures, loads, now) >= TOO_LITTLE * self._least:
             return
         best = self._searched(postures, loads, now)
@@ -75,19 +87,23 @@ class LegWidening:
         if np.abs(goal - now).max() < 1e-6 or self._floats(now, goal):
             self._pause = t + PAUSE
             return
-        self._from, self._to, self._begin = now - self._home, goal - self._home, begin
+        self._to, self._begin = goal - self._home, begin
 
     def _planned(self, t: float) -> tuple[Array, Array]:
         """Postures (k, nx) of the plan, with what acts on the end effector in them (k, 6): force [N] and moment [N m] of the world."""
         plan = self._mpc.solver.trajectory(copy=False)
         nodes = np.unique(np.linspace(0, len(plan.x) - 1, POSTURES).astype(int))
-        loads = np.zeros((len(nodes), 6))
-        if self._knows_load:
-            rows = np.array([self._mpc.reference["stability"].at(t + float(plan.grid[k])) for k in nodes])
-            loads = rows[:, :6].copy()
-            if rows.shape[1] > 6:  # as if it were at the end effector's origin: a few centimeters matter little here
-                loads[:, 2] -= rows[:, 6] * GRAVITY
-        return plan.x[nodes, : self._robot.state.size].copy(), loads
+        postures, loads = plan.x[nodes, : self._robot.state.size].copy(), np.zeros((len(nodes), 6))
+        for k, x, load in zip(nodes, postures, loads, strict=True):
+            if not self._knows_load:
+                break
+            row = self._mpc.reference["stability"].at(t + float(plan.grid[k]))
+            load[:] = row[:6]
+            if row.size > 6:
+                weight, turn = np.array([0.0, 0.0, -row[6] * GRAVITY]), self._robot.pose(x, self._robot.tool)[1]
+                load[:3] += weight
+                load[3:] += np.cross(lie.quaternion_to_rotation(turn) @ row[7:10], weight)
+        return postures, loads
 
     def _margin(self, postures: Array, loads: Array, legs: Array) -> float:
         """Least margin [m] of the support of all postures with ``legs`` (n)."""

@@ -130,11 +130,12 @@ class SwerveBaseType(CommonBaseType):
     def reshaping(self, robot: RobotModel, mpc: MPC, controller: Controller) -> LegFolding | None:
         """Hinged legs fold where it is narrow and stand wider where the arm pulls; None for fixed legs."""
         from wbmpc.bases.swerve.leg_folding import LegFolding
-        from wbmpc.obstacles.geometry import has_shapes
+        from wbmpc.bases.swerve.leg_widening import knows_load
+        from wbmpc.obstacles.geometry import readable_shapes
 
         if "leg" not in robot.state or "state" not in mpc.reference:
             return None
-        if mpc.obstacles is None and not ("stability" in mpc.ocp.terms and has_shapes(robot)):
+        if mpc.obstacles is None and not (knows_load(mpc) and readable_shapes(robot)):
             return None
         folding = LegFolding(robot, mpc)
         folding.attach(controller)

@@ -103,7 +103,7 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
     wheels = robot.description.base.wheel_joints() or list(robot.state.groups.get("wheel", ()))
     scenario = closed_loop(
         robot, mpc, ordered + (settings.after or course.AFTER), seed, settings, since=ordered, tick=tick, metrics=metrics,
-        plots=lambda log: watch.plots(wheels), truth=watch.see, scene=scene, reshape=False,
+        plots=lambda log: watch.plots(wheels), truth=watch.see, scene=scene,
     )  # fmt: skip
     return replace(scenario, idealizations=[*scenario.idealizations, *course.idealizations])
 
