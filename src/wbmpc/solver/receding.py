@@ -10,7 +10,6 @@ import numpy as np
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
 from wbmpc.solver.compilation import LANES, LIBRARY, Floats, Integers, compiled
 from wbmpc.solver.driver import solve
-from wbmpc.solver.inequality_table import HARD, kind_of, node_rows
 from wbmpc.solver.line_search import take
 from wbmpc.solver.memory_layout import (
     ALIGN,
@@ -32,7 +31,6 @@ from wbmpc.solver.memory_layout import (
     K,
     N,
     P,
-    Setting,
     StateField,
     U,
     X,
@@ -229,33 +227,6 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
 
 
 @compiled
-def shift_multipliers(m: Floats, o: Integers, delta: float) -> None:
-    """Move multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then. Slacks follow
-    from the iterate.
-
-    All stay after a pause of a whole horizon, and where rows are not all inequalities: contradictory limits show in multipliers that grow at
-    their nodes."""
-    n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
-    if delta >= m[g + n] - m[g]:
-        return
-    _, boxes, general = node_rows(o, 0)
-    for r in range(boxes + general):
-        if kind_of(m, o, r) != HARD:
-            return
-    for k in range(n):
-        t = min(m[new + k] + delta, m[g + n])
-        while i < n - 1 and m[g + i + 1] <= t:
-            i += 1
-        if i >= k:  # backwards in time they stay
-            a = (t - m[g + i]) / (m[g + i + 1] - m[g + i])
-            inner = a > 0.0 and i < n - 1
-            to, source, after = o[ROW_L] + k * o[ROWS], o[ROW_L] + i * o[ROWS], o[ROWS] if inner else 0
-            for j in range(0, o[ROWS], LANES):
-                here, there = source + j, source + j + after
-                m[to + j : to + j + LANES] = (1.0 - a) * m[here : here + LANES] + a * m[there : there + LANES]
-
-
-@compiled
 def receding_solve(
     m: Floats,
     o: Integers,
@@ -270,8 +241,6 @@ def receding_solve(
     """Shift by ``delta``, sample at ``t0``, iterate: (status, steps done)."""
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
-        if row_count(o) > 0 and settings[Setting.KEEP_SLACKS] == 0.0:
-            shift_multipliers(m, o, delta)
         shift(m, o, delta)
     m[o[STATE] + StateField.BLOCKED_TIME] += delta
     sample_all(m, o, numbers, integers, t0)
