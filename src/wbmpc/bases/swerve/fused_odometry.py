@@ -141,6 +141,7 @@ class FusedOdometry:
         if covariance is not None:
             p[:3, :3] = checked_covariance("place", covariance)
         self._memory.set_state(State(self._state.t, mean, p))
+        self._memory.forget_sliding()
         self.global_poses.clear()
 
     def restart_clock(self) -> None:
@@ -272,6 +273,7 @@ class FusedOdometry:
         a["covariance"][:] = (np.diag([apart, apart, apart / self._arm(a["now"][:n])]) ** 2).ravel()
         a["smoothed"][:], a["by_wheels"][:], a["interval"][:] = 0.0, 0.0, 0.0
         a["interval"][Interval.H] = h
+        self._memory.forget_sliding()
 
     def _checked_weights(self, values: ArrayLike) -> Array:
         """Weights (n) of wheels, two or more above 0, or :class:`InputError`."""

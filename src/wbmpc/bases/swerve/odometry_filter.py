@@ -63,11 +63,12 @@ class LegEvidence:
 @dataclass(frozen=True)
 class State:
     """``mean``: x, y, yaw, gyro bias, lateness [rad], corrections of steer zeros and of radii; ``p``: covariance of its
-    error."""
+    error; ``lasted`` [s]: for how long the error of wheels that slide has moved the pose."""
 
     t: float
     mean: Array
     p: Array
+    lasted: float = 0.0
 
 
 @cache
@@ -84,7 +85,7 @@ def with_open_legs(state: State, shown: LegEvidence, fitted: Array) -> State:
     cross = p[:, WHEELS:] @ rows.T
     s = rows @ cross[WHEELS:] + shown.variance * np.eye(len(rows))
     gain = np.linalg.solve(s, cross.T).T
-    return State(state.t, mean - gain @ apart, p - gain @ cross.T)
+    return State(state.t, mean - gain @ apart, p - gain @ cross.T, state.lasted)
 
 
 def apart(state: State, rates: Array, t: float, pose: Array) -> Array:
@@ -106,11 +107,15 @@ def misfit(state: State, error: Array, r: Array) -> tuple[float, float]:
 
 
 def corrected(state: State, error: Array, r: Array) -> State:
-    """With a pose taken in that is off by ``error`` (3), with its covariance ``r`` (3, 3)."""
+    """With a pose taken in that is off by ``error`` (3), with its covariance ``r`` (3, 3).
+
+    It ends what wheels that slide have made of the position as far as it ends its variance: a precise one all of it."""
     gain = np.linalg.solve(state.p[:3, :3] + r, state.p[:3]).T
     keep = _identity(state.mean.size).copy()
     keep[:, :3] -= gain
-    return State(state.t, state.mean + gain @ error, keep @ state.p @ keep.T + gain @ r @ gain.T)
+    p = keep @ state.p @ keep.T + gain @ r @ gain.T
+    before, after = state.p[0, 0] + state.p[1, 1], p[0, 0] + p[1, 1]
+    return State(state.t, state.mean + gain @ error, p, state.lasted * float(after / before) if before > 0.0 else 0.0)
 
 
 def replaced(state: State, error: Array, r: Array) -> State:

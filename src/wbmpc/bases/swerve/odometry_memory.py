@@ -23,7 +23,7 @@ class Moment(NamedTuple):
 
 
 class OdometryMemory:
-    """``record``: time, ``mean`` (size) and ``p`` (size, size) of the state, and the last interval: ``interval``
+    """``record``: time, ``mean`` (size), ``p`` (size, size) and ``lasted`` of the state, and the last interval: ``interval``
     (:class:`~wbmpc.bases.swerve.odometry_step.Interval`), ``twist`` (3), ``by_wheels`` (3 · 2n), ``correction`` (2n), ``covariance``
     (3, 3), all of them views of it. ``arrays``: everything by its name in the compiled functions.
 
@@ -35,7 +35,7 @@ class OdometryMemory:
     def __init__(self, geometry: ModuleGeometry, radius: Array, noise: OdometryNoise) -> None:
         n, size = geometry.modules, WHEELS + 2 * geometry.modules
         self._made_of = geometry, radius, noise
-        state = {"time": 1, "mean": size, "p": size * size}
+        state = {"time": 1, "mean": size, "p": size * size, "lasted": 1}
         step = {"interval": int(Interval.SIZE), "twist": 3, "by_wheels": 6 * n, "correction": 2 * n, "covariance": 9}
         ends = np.cumsum([*state.values(), *step.values()])
         self.record = np.zeros(ends[-1])
@@ -44,7 +44,7 @@ class OdometryMemory:
         self.state_end = int(ends[len(state) - 1])
         scratch = {"pose": 12, "by": 6 * n, "spread": 9, "cross": size}
         memory = {"off": 2 * n, "rolled_off": n, "way": int(Way.SIZE), "smoothed": 6 * n, "slip_mean": WINDOWS * 2 * n}
-        memory["apart"] = 2 * n + 1
+        memory["apart"] = 2 * n + 2
         self.arrays = {
             **self.wheels.memory,
             **kept,
@@ -74,7 +74,11 @@ class OdometryMemory:
     def set_state(self, state: State) -> None:
         """Go on from another state."""
         a = self.arrays
-        a["time"][0], a["mean"][:], a["p"][:] = state.t, state.mean, state.p.ravel()
+        a["time"][0], a["mean"][:], a["p"][:], a["lasted"][0] = state.t, state.mean, state.p.ravel(), state.lasted
+
+    def forget_sliding(self) -> None:
+        """Wheels that slide from now on begin to."""
+        self.arrays["apart"][:], self.arrays["lasted"][:] = 0.0, 0.0
 
     def __deepcopy__(self, memo: dict[int, object]) -> OdometryMemory:
         """Views stay views of the copy's own record."""
@@ -88,4 +92,5 @@ class OdometryMemory:
 
 def state_of(record: Array, size: int) -> State:
     """The state in a record, as views."""
-    return State(float(record[0]), record[1 : 1 + size], record[1 + size : 1 + size + size * size].reshape(size, size))
+    end = 1 + size + size * size
+    return State(float(record[0]), record[1 : 1 + size], record[1 + size : end].reshape(size, size), float(record[end]))

@@ -22,7 +22,7 @@ SMALLEST = 1e-9
 #: Standard deviation [m/√s] of a velocity by an inertial unit: 0.02 m/s that last for 0.3 s.
 COASTING = 0.01
 #: Wheels that contradict each other, or the gyro, by more than this [m/s], averaged over so long [s], for longer than this [s], slide: no noise
-#: of each interval, but an error that adds up.
+#: of each interval, but an error that adds up, until they have contradicted each other less for as long.
 SLIDES, AVERAGED, BRIEF = 0.05, 0.1, 0.5
 #: Standard deviation of the base's velocity then, as a share of the contradiction: by the wheels, and with an inertial unit's velocity.
 UNSURE, COASTS = 0.7, 0.15
@@ -51,9 +51,10 @@ class Interval(IntEnum):
     TURN = 1  # what the gyro saw [rad]
     HAS_GYRO = 2  # 1, or 0 without
     COUNTS = 3  # variance [rad²] of the wheels' turn by counts
-    LOST = 4  # variance [m²] that wheels which slide add to each component of the pose
+    LOST = 4  # variance [m²] that wheels which slide add to each component of the pose for each second that their error has lasted
     LOST_TURN = 5  # and [rad²] to the yaw, where no gyro sees it
-    SIZE = 6
+    SLIDING = 6  # for how long [s] wheels have slid
+    SIZE = 7
 
 
 class Way(IntEnum):
@@ -73,6 +74,7 @@ class Odometry(NamedTuple):
 
     mean: Floats  # (size)
     p: Floats  # (size, size)
+    lasted: Floats  # (1) [s], for how long the error of wheels that slide has moved the pose; global poses shorten it
     interval: Floats  # Interval
     by_wheels: Floats  # (3, 2n), the twist's derivative by zeros and radii
     covariance: Floats  # (3, 3), of the twist
@@ -82,9 +84,7 @@ class Odometry(NamedTuple):
     off: Floats  # (n, 2) [m], contradictions in the present piece of way
     rolled_off: Floats  # (n) [m], and what wheels rolled in it
     way: Floats  # Way
-    apart: (
-        Floats  # (n, 2) [m/s], contradictions of wheels and gyro, averaged; then for how long [s] they have been large
-    )
+    apart: Floats  # (n, 2) [m/s], contradictions of wheels and gyro, averaged; for how long [s] they have been large; and now small
     smoothed: Floats  # (3, 2n), derivatives of the twist's rate, averaged
     pose: Floats  # derivative (3, 3) of the move by the twist, then the move (3)
     by: Floats  # (3, 2n), of the move by the wheels; scratch
@@ -173,8 +173,8 @@ def coast(w: Wheels, o: Odometry, h: float) -> None:
 
 @compiled
 def slide(w: Wheels, o: Odometry, h: float) -> None:
-    """What wheels add to the uncertainty that have contradicted each other, or the gyro, for long: the longer, the more in each interval. A
-    wheel that counts little beside others is no contradiction; beside one alone it is."""
+    """What wheels add to the uncertainty that have contradicted each other, or the gyro, for long, and still do: the longer, the more in each
+    interval. A wheel that counts little beside others is no contradiction; beside one alone it is."""
     n, apart, interval, covariance = w.n, o.apart, o.interval, o.covariance
     top, total, mx, my, arm = SMALLEST, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
@@ -198,14 +198,19 @@ def slide(w: Wheels, o: Odometry, h: float) -> None:
         freedoms += 2.0 * share
         arm += (x * x + y * y) / n
     square /= max(freedoms, 1.0)
-    apart[2 * n] = apart[2 * n] + h if square > SLIDES**2 else max(apart[2 * n] - h, 0.0)
-    lasts = max(apart[2 * n] - BRIEF, 0.0)
-    square *= (COASTS if o.inertial[2] > 0.0 else UNSURE) ** 2
-    # an error v of the velocity has moved the base by v t: what its variance grows by
-    interval[Interval.LOST], interval[Interval.LOST_TURN] = 2.0 * square * lasts * h, 0.0
-    if not has_gyro:
-        interval[Interval.LOST_TURN] = interval[Interval.LOST] / arm
-    if lasts > 0.0:
+    large = square > SLIDES**2
+    apart[2 * n] = apart[2 * n] + h if large else max(apart[2 * n] - h, 0.0)
+    apart[2 * n + 1] = 0.0 if large else apart[2 * n + 1] + h
+    if apart[2 * n + 1] > BRIEF:
+        apart[2 * n] = 0.0
+    interval[Interval.SLIDING] = max(apart[2 * n] - BRIEF, 0.0)
+    interval[Interval.LOST], interval[Interval.LOST_TURN] = 0.0, 0.0
+    if large and interval[Interval.SLIDING] > 0.0:
+        square *= (COASTS if o.inertial[2] > 0.0 else UNSURE) ** 2
+        # an error v of the velocity has moved the base by v t: what its variance grows by, but for t
+        interval[Interval.LOST] = 2.0 * square * h
+        if not has_gyro:
+            interval[Interval.LOST_TURN] = interval[Interval.LOST] / arm
         covariance[0] += square * h * h
         covariance[4] += square * h * h
 
@@ -260,6 +265,18 @@ def move_row(n: int, p: Floats, first: int, stride: int, x: float, y: float, by:
     p[first], p[first + stride], p[first + 2 * stride], p[first + LATE * stride] = a, b, c, 0.0
 
 
+@compiled
+def lose(o: Odometry, size: int) -> None:
+    """What wheels that slide add to the covariance of the pose in the interval: the more, the longer their error has moved it."""
+    p, interval, lasted = o.p, o.interval, o.lasted
+    if interval[Interval.LOST] > 0.0:
+        lasted[0] += interval[Interval.H]
+    lasted[0] = min(lasted[0], interval[Interval.SLIDING])
+    p[0] += interval[Interval.LOST] * lasted[0]
+    p[size + 1] += interval[Interval.LOST] * lasted[0]
+    p[2 * size + 2] += interval[Interval.LOST_TURN] * lasted[0]
+
+
 @step
 def advance(w: Wheels, o: Odometry) -> None:
     """One interval on: the wheels' twist moves the pose, the gyro's turn corrects it and everything behind it."""
@@ -306,9 +323,7 @@ def advance(w: Wheels, o: Odometry) -> None:
         for j in range(3):
             for k in range(3):
                 p[row * size + j] += spread[3 * row + k] * pose[3 * j + k]
-    p[0] += interval[Interval.LOST]
-    p[size + 1] += interval[Interval.LOST]
-    p[2 * size + 2] += interval[Interval.LOST_TURN]
+    lose(o, size)
     p[BIAS * size + BIAS] += noise[Noise.GYRO_WALK] ** 2 * h
     p[LATE * size + LATE], mean[LATE] = late, -behind
     if has_gyro:
