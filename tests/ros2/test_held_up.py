@@ -119,6 +119,17 @@ def test_a_stamp_is_a_time_only_after_a_silence_that_has_room_for_it() -> None:
     assert [burst.interval(a, 0.0025) for a in (0.04, 1e-4, 1e-4)] == [0.04, 1e-4, 1e-4]
 
 
+def test_a_clock_that_is_set_long_after_a_silence_is_no_time() -> None:
+    """By hand: a driver that stood still for 30 s goes on with its stamps, comes in time, then its clock is set ahead by 20 s. And one of the
+    messages that waited takes 1 ms: the others still have."""
+    waited = Waited()
+    assert waited.interval(30.0, 0.01) == 30.0
+    assert [waited.interval(0.01, 0.01) for _ in range(20)] == [0.01] * 20
+    assert waited.interval(0.01, 20.0) == 0.01
+    burst = Waited()
+    assert [burst.interval(a, 0.0025) for a in (2.0, 1e-4, 1e-3, 1e-4)] == [2.0, 0.0025, 1e-3, 0.0025]
+
+
 @pytest.mark.parametrize("stopped", [False, True])
 def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: bool) -> None:
     """A stream of 20 Hz goes on while a process is held up for 2 s. Truth: by hand. It counts again at once where nothing moved, after a
