@@ -152,6 +152,8 @@ class BusController(PlanarController):
         self._move_way(then, gain @ error)
         self.placed = True
         self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
+        if sure:  # the covariance is of the pose of now: the way before it is none of it
+            self._counted = self.pose.copy()
 
     def _move_way(self, then: Array, by: Array) -> None:
         """The pose ``then`` (3) was off ``by`` (3), and with it the whole way, before and since: the next late pose must not find the same
@@ -159,7 +161,7 @@ class BusController(PlanarController):
         moved = lambda p: then + [by[0], by[1], 0.0] + lie.se2_compose([0.0, 0.0, by[2]], p - then)
         self._was = deque(((t, moved(p)) for t, p in self._was), REMEMBERED)
         self.odometry.place(moved(self.pose))
-        self._counted = self.pose.copy()
+        self._counted = moved(self._counted)  # the way since has yet to be counted, however short it is
 
 
 def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
