@@ -14,6 +14,7 @@ from wbmpc.bases import base_type
 from wbmpc.bases.swerve.ros_leg_control import LegControl
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.wheels.control import wheels_base
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ros2.control import ControlNode
@@ -169,6 +170,38 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     speed(0.4)
     queue.look()
     assert queue.take() is not None and not queue._latched
+
+
+def test_a_run_that_takes_long_to_end_holds_nothing_up() -> None:
+    """A goal ends the run before it, which takes 2 s; goals and speeds come meanwhile, and afterwards. Truth: by hand, the bus goes on."""
+    robot = load_robot("differential-ur10")
+    settings, bus, now = settings_of(robot)(), Listening(), [10.0]
+    queue = RequestQueue(
+        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
+    )  # type: ignore[arg-type]
+    header, at = SimpleNamespace(frame_id="odom"), SimpleNamespace(x=1.0, y=0.0, z=0.0)
+    pose = SimpleNamespace(position=at, orientation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0))
+
+    def count() -> None:
+        bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
+        assert queue.take() is not None
+        bus.take["/goal_pose"](SimpleNamespace(header=header, pose=pose))
+        assert queue.take() is not None and not queue.rejected
+
+    def end() -> None:
+        now[0] += 2.0
+        count()
+
+    def begin(x: Any) -> None:
+        raise InputError("the run is not begun")
+
+    queue.look()
+    control = SimpleNamespace(request_queue=queue, _end_runner=end, settings=settings, adapter=SimpleNamespace(begin=begin))
+    with pytest.raises(InputError, match="not begun"):
+        ControlNode.start(control, robot.home, None, None)  # type: ignore[arg-type]
+    count()
+    queue.look()
+    count()
 
 
 @pytest.mark.parametrize(("seconds", "old"), [(0.05, ""), (0.7, "wrench"), (3.0, "wrench goal legs")])
