@@ -178,6 +178,11 @@ class Waited:
     def __init__(self) -> None:
         self._room = self._in_time = 0.0
 
+    @property
+    def others(self) -> bool:
+        """Whether there is room for others that have waited, too."""
+        return self._room > OVERTAKEN
+
     def interval(self, arrivals: float, stamps: float) -> float:
         """Time [s] between two messages whose arrivals and stamps are so far apart [s]: by their arrivals, where the second one has waited
         by their stamps."""
