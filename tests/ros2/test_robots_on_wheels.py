@@ -156,6 +156,25 @@ def test_poses_of_another_localization(robot: RobotModel) -> None:
     np.testing.assert_allclose(c.pose, [4.0, 0.0, 0.0])
 
 
+def test_poses_after_ways_that_are_too_short_to_count_leave_the_estimate_unsure(robot: RobotModel) -> None:
+    """10 m straight ahead with a pose every 5 mm, good to 1 cm: by what the way adds between two poses (1 cm after 1 m, squared) the stated
+    deviation settles, and wheels that then turn the base by 0.1 rad more than it does are corrected. Truth: by hand, q = 1e-4 x 5 mm and
+    r = 1e-4 give p = (q r)^(1/2) in the long run."""
+    c, fixes = follower(robot), list[Any]()
+    c.fix = lambda: fixes.pop(0) if fixes else None
+    wheels, straight, turned = np.zeros(2), robot.base.rates @ [1.0, 0.0], robot.base.rates @ [0.0, 1.0]
+    for k in range(3000):
+        fixes.append((0.01 * k, np.array([0.005 * k, 0.0, 0.0]), 1e-4 * np.eye(3)))
+        c.measure(BusMeasurement(0.01 * k, wheels.copy(), np.zeros(2)))
+        if k == 2000:
+            assert c.pose == pytest.approx([10.0, 0.0, 0.0], abs=1e-6)
+            expected = np.sqrt(np.sqrt(1e-4 * 0.005 * 1e-4))
+            assert np.sqrt(c.covariance[0, 0]) == pytest.approx(expected, rel=0.2)
+            wheels = wheels + 0.1 * turned
+        wheels = wheels + 0.005 * straight
+    assert abs(c.pose[2]) < 0.02 and abs(c.pose[1]) < 0.02
+
+
 def test_a_late_pose_is_of_its_stamp(robot: RobotModel) -> None:
     """A base on an arc, 1 m/s and 0.5 rad/s, and a localization of 10 Hz that is right to a millimeter but 0.2 s late: taken for
     poses of now, they pulled the estimate back by up to that way. The odometry begins elsewhere; the runner's clock restarts."""

@@ -290,8 +290,8 @@ class ControlNode:
         self.request_queue.running, self.active_task = task, task
 
     def start(self, x: np.ndarray, task: Task, references: References) -> None:
+        self.request_queue.look_away()  # the last run may take long to end
         self._end_runner()
-        self.request_queue.look_away()
         settings, adapter, watchdog = self.settings, self.adapter, self.settings.safety.watchdog
         adapter.begin(x)
         self.external_pose.reset()

@@ -56,7 +56,8 @@ class RequestQueue:
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
-        self._twist_at, self._looked, self._fresh_from, self._held = -np.inf, np.inf, -np.inf, 0.0
+        self._twist_at = self._spoken_at = -np.inf  # when the last speed that counted came, and the last one of all
+        self._looked, self._fresh_from, self._held = np.inf, -np.inf, 0.0
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
@@ -218,13 +219,14 @@ class RequestQueue:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
         target = np.array([linear[0], linear[1], angular[2]])
         over = float(np.max(np.abs(target) / self._fastest))
-        previous, self._twist_at = self._twist_at, self.now()
+        previous, self._spoken_at = self._spoken_at, self.now()
         pause = self.settings.safety.cmd_vel
         if np.any(target) and self._waited() > pause:
             raise InputError("the speed is not of now: it came while the node was held up")
-        self._latched = self._latched and bool(np.any(target)) and self._twist_at - previous <= pause
+        self._latched = self._latched and bool(np.any(target)) and self._spoken_at - previous <= pause
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
+        self._twist_at = self._spoken_at
         if np.any(target):
             self._limit(target if over > 1.0 + 1e-9 else None)
             self._put_speed(target / max(over, 1.0))

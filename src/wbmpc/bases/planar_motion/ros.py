@@ -65,6 +65,9 @@ class BusController(PlanarController):
         self._was: deque[tuple[float, Array]] = deque(maxlen=REMEMBERED)  # times [s] that go on from run to run, poses
         self._counted = self.pose.copy()  # up to where the way is in the covariance
         self._waited, self._passed = Waited(), 0.0  # time [s] from the message before to the last one
+        self._waited_until = (
+            -np.inf
+        )  # when the last message that waited came: before that it is not known where the base was when
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
         """As the inertial unit's messages between the two say; nothing where one of them has waited, for a bias turns with a time that is
@@ -90,9 +93,17 @@ class BusController(PlanarController):
         self._note_motion(before, interval)
         if interval < 0.0:  # of a clock that was restarted
             self._was.clear()
+            self._waited_until = -np.inf
+        came = 0.0 if last is None else lasting.time - last.time
+        waiting = isinstance(last, BusMeasurement) and (self._waited.others or interval != came)
+        if waiting:
+            self._was.clear()
+            self._waited_until = lasting.time
         self._was.append((lasting.time, self.pose.copy()))
         fix = self.fix() if self.fix is not None else None
-        if fix is not None:
+        if (
+            fix is not None and not waiting and fix[0] + measurement.origin > self._waited_until
+        ):  # else the way would count twice
             self._correct(fix[0] + measurement.origin, fix[1], fix[2])
         self.seen = measurement, self.pose.copy(), self.speed
 
@@ -146,12 +157,16 @@ class BusController(PlanarController):
         now, and so is the first one, which says where the robot is."""
         exact = not covariance.any()
         sure = exact or not self.placed
+        if not sure and t > self._was[-1][0] + GAP:  # joint states of that time wait behind this one
+            return
         then = self.pose.copy() if sure else min(self._was, key=lambda seen: abs(seen[0] - t))[1]
         error = np.array([*(pose[:2] - then[:2]), nearest_angle(pose[2], then[2]) - then[2]])
         gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
         self._move_way(then, gain @ error)
         self.placed = True
         self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
+        if sure:  # the covariance is of the pose of now: the way before it is none of it
+            self._counted = self.pose.copy()
 
     def _move_way(self, then: Array, by: Array) -> None:
         """The pose ``then`` (3) was off ``by`` (3), and with it the whole way, before and since: the next late pose must not find the same
@@ -159,7 +174,7 @@ class BusController(PlanarController):
         moved = lambda p: then + [by[0], by[1], 0.0] + lie.se2_compose([0.0, 0.0, by[2]], p - then)
         self._was = deque(((t, moved(p)) for t, p in self._was), REMEMBERED)
         self.odometry.place(moved(self.pose))
-        self._counted = self.pose.copy()
+        self._counted = moved(self._counted)  # the way since has yet to be counted, however short it is
 
 
 def on_bus(kind: type[PlanarController]) -> type[PlanarController]:
