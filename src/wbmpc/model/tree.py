@@ -17,6 +17,8 @@ _KINDS: dict[mujoco.mjtJoint, Kind] = {
     mujoco.mjtJoint.mjJNT_HINGE: "revolute",
     mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
 }
+#: Slides are those of one telescope if the cosine of their axes is more.
+PARALLEL = 0.999
 
 
 @dataclass(frozen=True)

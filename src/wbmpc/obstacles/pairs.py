@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
+from wbmpc.model.tree import PARALLEL
 from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.geometry import RobotGeometry, path_of, rigid_link, robot_geometry
 from wbmpc.robots.findings import Finding
@@ -38,8 +39,6 @@ NAMED, RARE = 5, 0.02
 TOUCHING = 1e-6
 #: A pair keeps no margin at home of which less than this share is left, or that share of its distance there where that is less.
 HOME_SHARE = 0.5
-#: Slides are those of one telescope if the cosine of their axes is more.
-PARALLEL = 0.999
 
 
 @dataclass(frozen=True)
@@ -327,7 +326,7 @@ def _missing(robot: RobotModel) -> Iterator[Finding]:
         pairs = ", ".join(f"[{a}, {b}]" for a, b in rare)
         yield Finding(
             "info", "collision", "key 'collision.self.pairs'",
-            f"{len(rare)} pairs that nothing keeps apart touch, each in less than {RARE:.0%} of {looked.counted} random states: {pairs}",
+            f"parts touch that no pair keeps apart, each pair in less than {RARE:.0%} of {looked.counted} random states: {pairs}",
             "leave them out, as each pair costs time in every solve, or add those that your tasks bring near each other",
         )  # fmt: skip
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wbmpc.arrays import Array
+from wbmpc.model.tree import PARALLEL
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
 _TURNS, _FAST = np.pi, 2.0
 #: Numbers of a pose, and of one in the plane.
 _POSE, _BASE = 6, 3
-#: Slides are those of one telescope if the cosine of their axes is more.
-PARALLEL = 0.999
 #: Random postures of the arm whose spread is its reach.
 _POSTURES = 400
 

@@ -65,9 +65,8 @@ class BusController(PlanarController):
         self._was: deque[tuple[float, Array]] = deque(maxlen=REMEMBERED)  # times [s] that go on from run to run, poses
         self._counted = self.pose.copy()  # up to where the way is in the covariance
         self._waited, self._passed = Waited(), 0.0  # time [s] from the message before to the last one
-        self._waited_until = (
-            -np.inf
-        )  # when the last message that waited came: before that it is not known where the base was when
+        # when the last message that waited came: before that it is not known where the base was when
+        self._waited_until = -np.inf
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
         """As the inertial unit's messages between the two say; nothing where one of them has waited, for a bias turns with a time that is
@@ -101,9 +100,8 @@ class BusController(PlanarController):
             self._waited_until = lasting.time
         self._was.append((lasting.time, self.pose.copy()))
         fix = self.fix() if self.fix is not None else None
-        if (
-            fix is not None and not waiting and fix[0] + measurement.origin > self._waited_until
-        ):  # else the way would count twice
+        # (one from before would count the way twice)
+        if fix is not None and not waiting and fix[0] + measurement.origin > self._waited_until:
             self._correct(fix[0] + measurement.origin, fix[1], fix[2])
         self.seen = measurement, self.pose.copy(), self.speed
 

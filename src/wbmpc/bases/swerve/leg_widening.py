@@ -94,9 +94,9 @@ class LegWidening:
         plan = self._mpc.solver.trajectory(copy=False)
         nodes = np.unique(np.linspace(0, len(plan.x) - 1, POSTURES).astype(int))
         postures, loads = plan.x[nodes, : self._robot.state.size].copy(), np.zeros((len(nodes), 6))
+        if not self._knows_load:
+            return postures, loads
         for k, x, load in zip(nodes, postures, loads, strict=True):
-            if not self._knows_load:
-                break
             row = self._mpc.reference["stability"].at(t + float(plan.grid[k]))
             load[:] = row[:6]
             if row.size > 6:

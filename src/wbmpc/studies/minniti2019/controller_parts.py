@@ -52,7 +52,7 @@ ACCURATE = RezeroCost(
     lean=0.6,
 )
 #: Those of the MPC; baselines keep the weights that their gains were searched with. An arm of three joints that holds a place has no
-#: orientation left: a weight of 2 draws the ball aside for it, by 3 mm. How far a lean that is not known at the start carries the ball is up to
+#: orientation left: a weight of 2 draws the ball aside for it. How far a lean that is not known at the start carries the ball is up to
 #: the wheels' torque: it is cheap.
 ACCURATE_PLAN = ACCURATE.model_copy(
     update={
