@@ -169,6 +169,27 @@ def test_a_knocked_leg_comes_back() -> None:
     assert log.array("way.brake").max() == 1.0
 
 
+def test_the_report_of_a_tour_shows_every_joint_with_its_limits() -> None:
+    """Truth: joints and limits of the robot's own file."""
+    bench = MissionRun.of(QUIET, SWERVE, 0)
+    mission, _ = straight(SWERVE, "X", True)
+    bench.planned("tour", mission, 0.5)
+    limits = SWERVE.limits
+    arm = [name.removesuffix("_joint") for name in SWERVE.description.arm.joints]
+    wheels = [f"{what}_{where}" for what in ("steer", "wheel") for where in ("LF", "RF", "LB", "RB")]
+    legs = [name.replace("steer", "leg") for name in wheels[:4]]
+    lines: dict[str, dict[str, tuple[float, float] | None]] = {}
+    for plot in bench.joint_plots():
+        lines.setdefault(plot.title.split(":")[0], {}).update({s.name: s.limits for s in plot.series})
+    for shown in (lines["Speeds"], lines["Joint positions"]):
+        assert set(shown) == {f"{name}{end}" for name in (*legs, *wheels, *arm) for end in ("", ", planned")}
+    assert lines["Speeds"]["leg_LF"] == pytest.approx(np.degrees([limits.input_lower[3], limits.input_upper[3]]))
+    assert lines["Drives"] == {
+        **{n: (-20.0, 20.0) for n in wheels[:4]}, **{n: (-40.0, 40.0) for n in wheels[4:]},
+        **{n.removesuffix("_joint"): (-most, most) for n, most in SWERVE.description.limits.effort.items()},
+    }  # fmt: skip
+
+
 @thorough
 def test_the_baseline_drives_and_reconfigures() -> None:
     bench = MissionRun.of(QUIET, SWERVE, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from wbmpc.arrays import Array
@@ -37,10 +38,14 @@ class JointRecord:
         }
         self._named = [name for names in self._groups.values() for name in names]
         self._driven: dict[str, int] = {}
+        #: (lower, upper) of what the drives of joints can do: of the simulated ones where the robot's file does not say.
+        self._efforts: dict[str, tuple[float, float]] = {}
         if self._data is not None:
             model = system.plant.model
             known = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
-            self._driven = {n: known[n] for n in robot.description.limits.effort if n in known}
+            given = {name: (-most, most) for name, most in robot.description.limits.effort.items()}
+            self._efforts = {n: e for n, e in (_drive_limits(model) | given).items() if n in known}
+            self._driven = {n: known[n] for n in self._efforts}
             self._force_units = {n: force_unit(unit) for n, unit in joint_units(model).items()}
         inputs, driven = system.mpc.dynamics.input, list(self._driven)
         positions = [unit for g in self._groups for unit in own.unit_groups[g]]
@@ -130,14 +135,16 @@ class JointRecord:
             return []
         t, forces = self._rows("drive_force")
         rows = dict(zip(self._driven, forces.T, strict=True))
-        effort, description = self._robot.description.limits.effort, self._robot.description
+        description = self._robot.description
         groups = {"arm": description.arm.joints, **description.base.joint_groups()}
+        listed = {name for members in groups.values() for name in members}
+        groups["base"] = [*groups.get("base", ()), *(name for name in self._driven if name not in listed)]
         plots = []
         for group, members in groups.items():
             names = [n for n in members if n in rows]
             for unit, places in by_unit([self._force_units[n] for n in names]).items():
                 own = [names[i] for i in places]
-                bounds = [(-effort[n], effort[n]) for n in own]
+                bounds = [self._efforts[n] for n in own]
                 label = with_unit("torque" if unit == "N m" else "force", unit)
                 plots.append(Plot(f"Drives: {group}", "time [s]", label, _pairs(own, t, rows, {}, bounds)))
         return plots
@@ -157,6 +164,16 @@ class JointRecord:
                 plots.append(Plot("Outside of the joints' limits", "time [s]", with_unit("largest", shown), lines))
         violation = Series("constraints of the plan", t, self._rows("plan_violation")[1])
         return [*plots, Plot("Violation of the plan's constraints", "time [s]", "1-norm", [violation])]
+
+
+def _drive_limits(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
+    """(lower, upper) force or torque of each joint whose drive in the plant has limits."""
+    found = {}
+    for k in np.flatnonzero(model.actuator_forcelimited):
+        if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT:
+            low, high = sorted(model.actuator_gear[k, 0] * model.actuator_forcerange[k])
+            found[model.joint(model.actuator_trnid[k, 0]).name] = (float(low), float(high))
+    return found
 
 
 def outside(rows: Array, lower: Array, upper: Array) -> Array:
