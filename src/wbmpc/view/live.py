@@ -209,6 +209,7 @@ class View(LiveView):
         return {
             "numbers": numbers(moment.end_effector, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
             "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)),
+            "obstacle": self._steering.obstacle(self._drift),
             "trail": filled(self._trail.add(moment.end_effector[:3]), (TRAIL, 3)), **self._paths(target.way, plans), **on_floor,
         }  # fmt: skip
 
