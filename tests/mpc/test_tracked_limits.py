@@ -152,6 +152,28 @@ def test_rows_of_several_inputs_around_references_scale_feedback_back() -> None:
         np.testing.assert_allclose(given[0] * asked[1], given[1] * asked[0], atol=1e-9)
 
 
+@pytest.mark.parametrize("row", [0, 2, 3, 5])
+def test_the_box_moves_with_a_part_of_a_pose_at_every_time(row: int) -> None:
+    """Between nodes and samples, where positions are on lines and quaternions on arcs. Truth: the reference's own value."""
+    ocp, rng = problem(), np.random.default_rng(row)
+    part = wb.residuals.Expression(1, lambda s: s.u[0] - 3.0 * s.reference[row], reference=7)
+    ocp.add(wb.Constraint("part", part, wb.sets.Box(-2.0, 2.0), hard=True))
+    times = np.linspace(-0.1, 1.2, 9)
+    turns = rng.normal(size=(9, 4)) * 0.3 + [1.0, 0.0, 0.0, 0.0]
+    positions = np.cumsum(rng.uniform(-0.3, 0.3, (9, 3)), axis=0)
+    poses = wb.Reference.poses(times, positions, turns / np.linalg.norm(turns, axis=1)[:, None])
+    mpc = wb.MPC(ocp, rate=50.0)
+    mpc.reference["part"] = poses
+    reached = 0.0
+    for policy in policies(mpc):
+        for t in np.linspace(policy.times[0], policy.end - 1e-6, 200):
+            for push in PUSHED:
+                off = policy(t, policy.state(t) + push)[0] - 3.0 * poses.at(t)[row]
+                assert abs(off) <= 2.0 + 1e-9, (t, push)
+                reached = max(reached, abs(off))
+    assert reached > (1.9 if row < 3 else 1.0)  # arcs are bounded by their length
+
+
 def test_moving_bounds_reach_the_control_thread() -> None:
     """Written by the runner's worker, read as the control thread or process does."""
     mpc, ramp = wb.MPC(problem(), rate=50.0), wb.Reference(np.array([0.0, 5.0]), np.array([[-2.0], [8.0]]))

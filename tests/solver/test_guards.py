@@ -110,18 +110,24 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
 
 
 def test_nobody_changes_the_data_of_another_threads_solve() -> None:
-    """Weights, parameters, references and modes: a solution of half the old and half the new ones would count as converged."""
+    """Weights, parameters, modes and the barrier: a solution of half the old and half the new ones would count as converged."""
     problem = cartpole(10)
     solver = Solver(problem.ocp, SQP())
     cost = next(
         t.name for t in problem.ocp.terms.values() if isinstance(t, wb.Cost) and t.at in ("path", "path+terminal")
     )
     weight = problem.ocp.term(cost).weight  # type: ignore[union-attr]
+
+    def through_a_barrier() -> None:
+        with solver.barrier(1e-3):
+            pass
+
     ways: dict[str, Callable[[], object]] = {
         "weight": lambda: solver.set_weight(cost, weight),
         "parameters": lambda: solver.set_parameters(np.zeros(problem.ocp.dynamics.parameters.size)),
         "schedule": lambda: solver.set_schedule(solver.schedule),
         "reset": solver.reset,
+        "barrier": through_a_barrier,
     }
     for what, way in ways.items():
 
@@ -159,6 +165,27 @@ def test_ctrl_c_while_it_is_entered_or_left_keeps_it_from_nobody() -> None:
         if left[0] > 0:
             break
     assert 10 < step < 99
+
+
+def test_solves_within_a_barrier_are_of_the_thread_that_set_it() -> None:
+    """Where two contexts of two threads overlap, the last one to leave would keep the barrier of the other one for good."""
+    lq, solver = linear()
+    before = solver.numbers.copy()
+
+    def enter() -> None:
+        with pytest.raises(SolverBusy), solver.barrier(0.5):
+            pass
+        with pytest.raises(SolverBusy):
+            solver.solve(lq.x0)
+
+    with solver.barrier(0.1):
+        together(enter)
+        assert solver.solve(lq.x0).usable
+    np.testing.assert_array_equal(solver.numbers, before)
+    for value in (np.nan, np.inf, -1.0, "1"):
+        with pytest.raises(InputError, match="barrier: 'value'"), solver.barrier(value):  # type: ignore[arg-type]
+            pass
+    np.testing.assert_array_equal(solver.numbers, before)
 
 
 def test_entering_again_leaves_only_at_the_end_also_by_an_exception() -> None:

@@ -108,6 +108,14 @@ def test_requests_of_other_sites_are_rejected() -> None:
     assert Access("127.0.0.1", "").rejection("/", headers(("Host", "localhost")), 80) == ""
 
 
+def test_who_does_not_know_the_token_learns_nothing_by_asking_with_parts_of_it() -> None:
+    """The token stands in the page's own parameter, too: what that is is looked at only where the path is right."""
+    access, same = Access("127.0.0.1", "secret"), ("Host", "localhost:8080")
+    guesses = ("", "s", "secre", "secret", "secret2")
+    answers = {access.rejection(f"/wrong/?websocket=ws://localhost:8080/{g}", headers(same), 8080) for g in guesses}
+    assert len(answers) == 1 and "the token is missing or wrong" in answers.pop()
+
+
 def test_a_view_for_the_network_is_reached_by_numbers_and_its_own_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """A name that somebody else owns may be made to resolve to this machine; a number cannot."""
     monkeypatch.setattr("socket.gethostname", lambda: "robot7")

@@ -55,7 +55,7 @@ class Shown:
     def __init__(self, film: Film) -> None:
         self.view = LiveView("toy", "127.0.0.1", free_port(), lambda url: None, with_token=True)
         self.view.start(film.scene, Controls("toy", (), legs=False, base=False), fields(film.scene))
-        self.still = {**film.snapshot(0.0), "brakes": np.array(np.nan)}
+        self.still = {**film.snapshot(0.0), "brakes": np.array(np.nan), "obstacle": np.zeros(8)}
         self.draw()
 
     def draw(self, **changed: np.ndarray) -> None:

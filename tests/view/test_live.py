@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import signal
 import socket
 import threading
 import time
+import weakref
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,6 +32,7 @@ from wbmpc.robots import load_description
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import PREPARATION, Ending, Running, Watch, run_lockstep, watched
 from wbmpc.simulation.scene import SceneReader
+from wbmpc.view import session
 from wbmpc.view.session import run_session, system_of
 from wbmpc.view.user_commands import REQUESTS, no_requests
 
@@ -365,6 +368,29 @@ def test_a_session_restarts_on_reset() -> None:
         assert ending.reason.endswith("ended in the view") and len(begun) == 2
     finally:
         view.close()
+
+
+def test_runs_that_were_reset_leave_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Truth: weak references to their planners, while Python itself collects nothing. The view still shows the last one."""
+    view = live.View("test", port=free_port())
+    planners: list[Any] = []
+    gone: list[bool] = []
+
+    def ended(*parts: Any) -> Ending:
+        planners.append(weakref.ref(parts[2]))
+        view.running = Running(*parts[:4], 1.0)
+        gone.append(len(planners) < 3 or planners[-3]() is None)
+        view.wants_reset = len(planners) < 4
+        return Ending("restarted in the view")
+
+    monkeypatch.setattr(session, "run_lockstep", ended)
+    gc.collect()
+    gc.disable()
+    try:
+        run_session("rezero", 1, view)
+    finally:
+        gc.enable()
+    assert gone == [True] * 4
 
 
 def test_bad_input(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

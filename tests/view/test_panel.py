@@ -36,10 +36,10 @@ def panel() -> Any:
     server.stop()
 
 
-def show(panel: Any, brakes: float) -> None:
+def show(panel: Any, brakes: float = np.nan, obstacle: Any = (0.0,) * 8) -> None:
     nothing = {"numbers": np.zeros(len(NUMBERS)), "goal": np.full(7, np.nan), "base_goal": np.full(3, np.nan)}
     for _ in range(panels._EVERY):
-        panel.show({**nothing, "brakes": np.array(brakes)})
+        panel.show({**nothing, "brakes": np.array(brakes), "obstacle": np.asarray(obstacle)})
 
 
 def click(panel: Any, value: bool) -> None:
@@ -129,6 +129,42 @@ def test_a_box_is_put_dragged_and_taken_away(panel: Any) -> None:
     assert panel._values["obstacles"] == 4 and not panel._values["obstacle"].any()  # it is not there
 
 
+def test_a_box_that_is_not_done_goes_back_to_where_the_run_has_it(panel: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is drawn is what is avoided, once the run has had a second to answer; not while it is dragged."""
+    drawn, box = panel.server.scene._handle_from_node_name["/obstacle/cube"], panel._box
+    buttons = {h.label: h for h in panel.server.gui._gui_input_handle_from_uuid.values() if hasattr(h, "label")}
+    now = [0.0]
+    monkeypatch.setattr(panels.time, "monotonic", lambda: now[0])
+
+    def press(label: str) -> None:
+        for callback in buttons[label]._impl.update_cb:
+            asyncio.run(callback(SimpleNamespace(client=object(), target=buttons[label])))
+
+    def drag(phase: str, position: tuple[float, float, float]) -> None:
+        box.position = position
+        for callback in box._impl_aux.update_cb:
+            asyncio.run(callback(SimpleNamespace(phase=phase, client=object(), target=box)))
+
+    taken = np.array([1.5, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0, 0.3])
+    press("Put there")
+    show(panel)
+    assert box.visible  # the run has not answered yet
+    now[0] = 2.0
+    show(panel, obstacle=taken)
+    drag("start", (1.5, 0.0, 0.3)), drag("update", (40.0, 0.0, 0.3))
+    now[0] = 5.0
+    show(panel, obstacle=taken)
+    assert tuple(box.position) == (40.0, 0.0, 0.3)
+    drag("end", (40.0, 0.0, 0.3))
+    show(panel, obstacle=taken)
+    np.testing.assert_allclose([*box.position, *drawn.dimensions], [1.5, 0.0, 0.3, 0.3, 0.3, 0.3])
+    drawn.dimensions = (0.8,) * 3
+    show(panel, obstacle=taken)
+    assert tuple(drawn.dimensions) == (0.3,) * 3 and box.visible
+    show(panel)  # another run has none
+    assert not box.visible
+
+
 def test_a_box_of_the_user_is_an_obstacle_of_the_plan() -> None:
     """It stands where the user sees it: the estimate drifts, and the plan's origin is 0.4 m above the floor. What cannot be meant changes
     nothing."""
@@ -152,14 +188,16 @@ def test_a_box_of_the_user_is_an_obstacle_of_the_plan() -> None:
 
     ask(*seen, 0.2)
     check()
+    np.testing.assert_allclose(steering.obstacle(drift), [*seen, 0.2], atol=1e-12)
     wrong = ((np.nan, "finite"), (50.0, "at most 5 m"), (2.0, "0.05 to 2"), (2.0, "length 1"))
     for (x, why), (edge, w) in zip(wrong, ((0.2, 1.0), (0.2, 1.0), (9.0, 1.0), (0.2, 3.0)), strict=True):
         ask(x, 0.0, 0.3, w, 0.0, 0.0, 0.0, edge)
         assert why in rejected[-1]
         check()
+        np.testing.assert_allclose(steering.obstacle(drift), [*seen, 0.2], atol=1e-12)
     steering.skip(requests)  # another run: the last order stands
     ask(*np.zeros(8))
-    assert not len(world)
+    assert not len(world) and not steering.obstacle(drift).any()
 
 
 def test_a_drive_before_the_run_says_how_the_legs_stand() -> None:

@@ -69,7 +69,7 @@ def test_contacts_are_drawn_where_the_estimate_is() -> None:
     plan = np.tile(robot.home, (PLAN, 1))
     message = {
         "plan": plan, "reference": np.zeros((REFERENCE, 3)), "goal": np.array([*robot.pose(robot.home)[0], 1.0, 0, 0, 0]),
-        "base_goal": np.zeros(3), "brakes": np.array(0.0), "solve": np.array(0.001), "deadline": np.array(0.02),
+        "base_goal": np.zeros(3), "brakes": np.array(0.0), "obstacle": np.zeros(8), "solve": np.array(0.001), "deadline": np.array(0.02),
         "clearance": np.array(0.041),
     }  # fmt: skip
     shown = picture(message)
@@ -94,7 +94,7 @@ def test_a_run_that_begins_anew_is_shown_anew() -> None:
     picture = realtime.Picture("swerve-ur10", moments, None)
     message = {
         "plan": np.tile(robot.home, (PLAN, 1)), "reference": np.zeros((REFERENCE, 3)), "goal": np.array([0.0] * 3 + [1.0] + [0.0] * 3),
-        "base_goal": np.zeros(3), "brakes": np.array(0.0), "solve": np.array(0.001), "deadline": np.array(0.02),
+        "base_goal": np.zeros(3), "brakes": np.array(0.0), "obstacle": np.zeros(8), "solve": np.array(0.001), "deadline": np.array(0.02),
         "clearance": np.array(np.nan),
     }  # fmt: skip
 

@@ -4,6 +4,7 @@ messages, and GitHub's rules of what is a link."""
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import time
 from types import SimpleNamespace
@@ -77,6 +78,28 @@ def test_a_browser_is_given_the_same_as_by_viser() -> None:
 
     own, others = (asyncio.run(given(own)) for own in (True, False))
     assert own == others and [name for name, _ in own].count("end") == 1 and len(own) > 9
+
+
+def test_the_log_has_no_token_and_no_lines_of_pages(caplog: pytest.LogCaptureFixture) -> None:
+    """In full detail, of a request with a cookie of another server, and of a message that quotes itself."""
+    caplog.set_level(logging.DEBUG, "wbmpc")
+    access = Access.of("127.0.0.1")
+    server, guard = open_server(access, free_port())
+    said: list[str] = []
+    guard.rejected = said.append
+    try:
+        url = access.url(server.get_port())
+        assert get(url, Cookie="session=of-another-server")[0] == 200
+        client = Client(url)
+        client.send({"type": "GuiUpdateMessage", "uuid": "x", "updates": {}, "field\nERROR: forged \x1b[31m": 1})
+        client.listen(0.5)
+        client.drop()
+    finally:
+        server.stop()
+    lines = [record.getMessage() for record in caplog.records]
+    assert said and any("forged" in line for line in lines)
+    assert not [line for line in [*lines, *said] if access.token in line or "of-another-server" in line]
+    assert not [line for line in [*lines, *said] if not line.isprintable()]
 
 
 def test_pages_of_another_version_are_rejected(capfd: pytest.CaptureFixture[str]) -> None:

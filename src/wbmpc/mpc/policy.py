@@ -81,9 +81,9 @@ class Policy:
     After a push the feedback may exceed the limits, because the plan does not include the push yet. ``active`` (N, r): which of the rows
     count in each interval's mode. ``moving`` (N, 2, r): their offsets at each interval's beginning and end, where references or
     parameters move them (None: nowhere); in between they are linear, and nowhere larger than a reference that bends or jumps there
-    allows. A reference that moves within one interval by more than its limits are wide leaves no input for the whole interval: there
-    the upper limits hold alone. Other hard rows (with states, and those that ``MPC(plan_only_limits=True)`` allows) hold
-    in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
+    allows (with the quaternion of a pose: less, by the length of its arc). A reference that moves within one interval by more than its
+    limits are wide leaves no input for the whole interval: there the upper limits hold alone. Other hard rows (with states, and those
+    that ``MPC(plan_only_limits=True)`` allows) hold in the plan, i.e. for ``policy(t)``; cut feedback to those yourself, from :meth:`law`.
     ``clearance``: the pair of the plan with the largest margin violation, robot and obstacle or two parts of the robot (None: no such
     rows).
     """

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
 from wbmpc.model.numeric import Reentrant
-from wbmpc.solver.receding import LINEAR
+from wbmpc.solver.receding import LINEAR, POSE
 
 LIBRARY = Library("policy", packages=("solver", "kernel", "ocp"))
 compiled = LIBRARY.step
@@ -23,6 +23,8 @@ compiled = LIBRARY.step
 ROUNDING = 1e-9
 #: Turns in which rows of several inputs are met beside the bounds of single ones.
 TURNS = 100
+#: An arc is at most this many times as long as its chord, up to half a circle (π / 2).
+ARC = 1.6
 #: What became of an input.
 FINE, CUT, NOT_FINITE = 0, 1, -1
 
@@ -258,12 +260,30 @@ def evaluate(plan: Plan, limited: bool, t: float, x: Floats, room: Floats, u: Fl
 
 
 @compiled
+def bulge(p: Floats, at: int, size: int, values: Floats, first: int, count: int, rows: Floats, row_at: int) -> float:
+    """How far a row's offset may be from straight lines where a quaternion goes from one node's, in ``p``, over ``count`` samples of
+    poses in ``values`` to the next one's: no further than the arcs on the way are long."""
+    slopes, length = 0.0, 0.0
+    for c in range(4):
+        slopes += abs(rows[row_at + c])
+    for i in range(count + 1):
+        chord = 0.0
+        for c in range(4):
+            begin = p[at + c] if i == 0 else values[first + 7 * (i - 1) + c]
+            end = p[at + size + c] if i == count else values[first + 7 * i + c]
+            chord += (end - begin) ** 2
+        length += np.sqrt(chord)
+    return ARC * slopes * length
+
+
+@compiled
 def excess(
     p: Floats, at: int, size: int, begin: float, end: float, numbers: Floats, integers: Integers, rows: Floats, row_at: int
 ) -> float:  # fmt: skip
     """By how much a row's offset at an interval's nodes is too large somewhere in between, where references bend or jump.
 
-    Reference by reference, at the samples from ``begin`` to ``end`` [s]: there is nothing larger between samples of straight lines."""
+    Reference by reference, at the samples from ``begin`` to ``end`` [s]: there is nothing larger between samples of straight lines.
+    The quaternions of poses go along arcs beside these."""
     total = 0.0
     for slot in range(integers[0]):
         s = 4 + 6 * slot
@@ -274,7 +294,7 @@ def excess(
             integers[s + 3],
             integers[s + 5],
         )
-        matters, linear = False, integers[s + 4] == LINEAR
+        matters, linear = False, integers[s + 4] == LINEAR or integers[s + 4] == POSE
         for c in range(width):
             matters = matters or rows[row_at + target + c] != 0.0
         if not matters:
@@ -287,6 +307,7 @@ def excess(
                 i = middle + 1
             else:
                 high = middle
+        first = i
         while i < count and numbers[times + i] <= end - slack:
             share_passed = (numbers[times + i] - begin) / (end - begin) if linear else 0.0
             over = 0.0
@@ -297,6 +318,10 @@ def excess(
             most = max(most, over)
             i += 1
         total += most
+        if integers[s + 4] == POSE:
+            total += bulge(
+                p, at + target + 3, size, numbers, values + 7 * first + 3, i - first, rows, row_at + target + 3
+            )
     return total
 
 
@@ -322,7 +347,7 @@ def plan_rows(
         room[j] = 0.0
     for slot in range(integers[0]):
         s = 4 + 6 * slot
-        if integers[s + 4] == LINEAR:
+        if integers[s + 4] == LINEAR or integers[s + 4] == POSE:
             for j in range(integers[s + 3]):
                 room[integers[s + 5] + j] = 1.0
     for row in range(r):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from wbmpc.checks import absolute_time, real_numbers
+from wbmpc.checks import absolute_time, not_negative, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.model.numeric import Reentrant
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
@@ -188,14 +188,17 @@ class Solver(SolverResults):
 
     @contextmanager
     def barrier(self, value: float) -> Iterator[None]:
-        """Context manager: solves in it have a barrier parameter of at least ``value`` (compiled back end only)."""
-        numbers = self.numbers.copy()
+        """Context manager: solves in it have a barrier parameter of at least ``value`` (compiled back end only). They are of this thread
+        alone: others get :class:`SolverBusy` meanwhile. Raises :class:`InputError` for a value that is negative or not finite."""
+        not_negative("barrier", value=value)
         places = [SETTINGS.index(n) for n in ("initial_barrier", "max_barrier", "barrier", "min_barrier")]
-        self.numbers[places] = np.maximum(numbers[places], value)
-        try:
-            yield
-        finally:
-            self.numbers[:] = numbers
+        with self.exclusive:
+            numbers = self.numbers.copy()
+            try:
+                self.numbers[places] = np.maximum(numbers[places], value)
+                yield
+            finally:
+                self.numbers[:] = numbers
 
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""

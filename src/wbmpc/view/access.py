@@ -76,12 +76,14 @@ class Access:
             return "the Host header is not the address of this view"
         if len(origins) > 1 or any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
             return "the request comes from a page of another origin"
+        if (
+            self.inside(path) is None
+        ):  # first: the comparison below, which has the token too, takes longer the more of it is right
+            return "the token is missing or wrong: open the address that the command printed"
         # the page adds where its messages go; another address there would let it talk to another server
         query = parse_qs(path.partition("?")[2], keep_blank_values=True)
         if query and query != {"websocket": [f"ws://{hosts[0].lower()}/{self.token}"]}:
             return "the address has parameters that are not its own"
-        if self.inside(path) is None:
-            return "the token is missing or wrong: open the address that the command printed"
         return ""
 
     def inside(self, path: str) -> str | None:

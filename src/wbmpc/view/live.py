@@ -6,6 +6,7 @@ that has crashed, changes nothing in the run.
 
 from __future__ import annotations
 
+import gc
 import time
 from collections import deque
 from collections.abc import Callable
@@ -72,8 +73,10 @@ class View(LiveView):
         return Loads(running.plant.description, Observer(running).reader.joint_names)
 
     def restart(self) -> None:
-        """What comes is another run."""
+        """What comes is another run. Those before are in reference cycles, of many bytes in few objects: Python itself would look for them
+        once in dozens of runs."""
         self.wants_reset = self.steered = False
+        gc.collect()
 
     @property
     def factors(self) -> dict[str, float]:
@@ -206,6 +209,7 @@ class View(LiveView):
         return {
             "numbers": numbers(moment.end_effector, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
             "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)),
+            "obstacle": self._steering.obstacle(self._drift),
             "trail": filled(self._trail.add(moment.end_effector[:3]), (TRAIL, 3)), **self._paths(target.way, plans), **on_floor,
         }  # fmt: skip
 

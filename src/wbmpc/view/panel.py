@@ -44,7 +44,7 @@ class Panel:
         self.server, self._requests, self.controls = server, requests, controls
         self._values, self._lock = no_requests(), threading.Lock()  # the server calls back from several threads
         self._dragged, self._about, self._message, self._shown = False, "", "", ""
-        self._rejection, self._moved_at = Rejection(), -np.inf
+        self._rejection, self._moved_at, self._box_asked = Rejection(), -np.inf, -np.inf
         server.gui.main_panel.dock_right()
         name_tab(server.gui, controls.title)
         self._status = server.gui.add_markdown(f"**{controls.title}**")
@@ -156,23 +156,24 @@ class Panel:
         scene, gui = self.server.scene, self.server.gui
         self._box = scene.add_transform_controls("/obstacle", scale=0.4, disable_sliders=True, visible=False)
         self._box.position = AHEAD
-        cube = scene.add_box("/obstacle/cube", color=(209, 73, 91), dimensions=(1.0, 1.0, 1.0), opacity=0.6)
+        self._cube: Any = scene.add_box("/obstacle/cube", color=(209, 73, 91), dimensions=(1.0, 1.0, 1.0), opacity=0.6)
         with gui.add_folder("Box"):
             edge = gui.add_slider("Edge [m]", *bounds.EDGES, 0.05, 0.3)
             gui.add_button("Put there").on_click(in_order(lambda: put()))
             gui.add_button("Take away").on_click(in_order(lambda: take_away()))
 
         def order() -> None:
+            self._box_asked = time.monotonic()
             pose = np.concatenate([self._box.position, self._box.wxyz])
             self._click("obstacles", obstacle=np.append(pose, edge.value))
 
         def put() -> None:
-            cube.dimensions = (edge.value,) * 3
+            self._cube.dimensions = (edge.value,) * 3
             self._box.visible = True
             order()
 
         def take_away() -> None:
-            self._box.visible = False
+            self._box_asked, self._box.visible = time.monotonic(), False
             self._click("obstacles", obstacle=np.zeros(8))
 
         def again(act: Callable[[], None]) -> None:
@@ -181,6 +182,24 @@ class Panel:
 
         edge.on_update(in_order(lambda: again(put)))  # what is drawn is what is avoided
         self._on_drag(self._box, lambda: again(order))
+
+    def _show_obstacle(self, cube: Array) -> None:
+        """The cube (8) as the run keeps clear of it; once it was asked for another one, only once it has had the time to follow, or to
+        reject."""
+        now = time.monotonic()
+        if (
+            not self.controls.obstacle
+            or now < self._box_asked + _ANSWER
+            or (self._dragged and now <= self._moved_at + _HELD)
+        ):
+            return
+        there, edge = bool(cube[7] > 0.0), (float(cube[7]),) * 3
+        if self._box.visible != there:
+            self._box.visible = there
+        if there and not np.allclose(np.concatenate([self._box.position, self._box.wxyz]), cube[:7], atol=1e-5):
+            self._box.position, self._box.wxyz = cube[:3], cube[3:7]
+        if there and not np.allclose(self._cube.dimensions, edge):
+            self._cube.dimensions = edge
 
     def _on_drag(self, handle: Any, order: Callable[[], None]) -> None:
         """Do ``order`` where a handle is moved; not where it is only grasped or let go."""
@@ -221,6 +240,7 @@ class Panel:
             if self.controls.base and np.isfinite(s["base_goal"]).all():
                 x, y, yaw = s["base_goal"]
                 self._place(self._base, np.array([x, y, 0.02, np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]))
+        self._show_obstacle(s["obstacle"])
         if self._count % _EVERY:
             return
         self._show_brakes(float(s["brakes"]))

@@ -69,7 +69,7 @@ class RealtimeView(LiveView):
         self.moments = Mailbox.shared({"t": (), "late": (), "x": (nx,), "ticks": (), "misses": ()})
         shown = {
             "plan": (PLAN, nx), "reference": (REFERENCE, 3), "goal": (7,), "base_goal": (3,), "solve": (), "deadline": (),
-            "clearance": (), "brakes": (),
+            "clearance": (), "brakes": (), "obstacle": (8,),
         }  # fmt: skip
         drawer = partial(Picture, self.robot_name, self.moments, seen)
         self.start(scene.scene, controls, shown, drawer)
@@ -106,7 +106,9 @@ class RealtimeView(LiveView):
             self.wants_reset = self._asked("resets")
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
-                self.shown.write(**_plan(mpc, t, lift), brakes=steering.brakes_open(t))
+                self.shown.write(
+                    **_plan(mpc, t, lift), brakes=steering.brakes_open(t), obstacle=steering.obstacle(_HERE)
+                )
             return None if previous is None else previous(t, x0, trajectory)
 
         mpc.guess = guess
@@ -209,7 +211,7 @@ class Picture:
         }  # fmt: skip
         return {
             "numbers": numbers(end_effector, plan["goal"], poses[index], plan["base_goal"], others), "poses": poses, "goal": plan["goal"],
-            "base_goal": plan["base_goal"], "brakes": plan["brakes"], "reference": plan["reference"],
+            "base_goal": plan["base_goal"], "brakes": plan["brakes"], "obstacle": plan["obstacle"], "reference": plan["reference"],
             "trail": filled(self._trail.add(end_effector[:3]), (TRAIL, 3)),
             **{name: filled(way[:, :3], (PLAN, 3)) for name, way in ways.items()}, **self._on_floor(poses[index]),
         }  # fmt: skip

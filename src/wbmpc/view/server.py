@@ -23,7 +23,7 @@ from websockets.frames import Frame, Opcode
 from websockets.http11 import Response
 from websockets.protocol import State
 
-from wbmpc.errors import InputError
+from wbmpc.errors import InputError, printable
 from wbmpc.logs import RateLimitFilter
 from wbmpc.view.access import Access
 from wbmpc.view.frames import LARGEST, checked
@@ -153,6 +153,9 @@ class Guard:
         self.log = logging.Logger("wbmpc.view")
         self.log.parent = logging.getLogger("wbmpc")
         self.log.addFilter(RateLimitFilter(brief=True))
+        self.log.setLevel(
+            logging.INFO
+        )  # below, every request is logged as it came: with the token, and cookies of other servers
 
     # ------------------------------------------------------------------ requests
     def answer(self, connection: Any, request: Any, serve: Callable[..., Any]) -> Any:
@@ -184,8 +187,9 @@ class Guard:
         try:
             return checked(raw, self._input)
         except InputError as error:
-            self.log.warning("view: %s", error)
-            self.rejected(str(error))
+            reason = printable(str(error))  # it quotes the message, whose lines must not pass for others of the log
+            self.log.warning("view: %s", reason)
+            self.rejected(reason)
             return None
 
     def admit(self, connection: Any, transport: Any) -> bool:

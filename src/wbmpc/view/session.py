@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from functools import partial
 from typing import Any
 
@@ -66,6 +67,7 @@ def run_realtime(robot_name: str, seed: int, view: RealtimeView) -> str:
     A reset, or a fall, restarts. Nothing waits here: controller, MPC, physics and view go by the clock.
     """
     while True:
+        gc.collect()  # see View.restart
         runner, robot = runner_of(robot_name, seed, view)
         try:
             reason = view.follow(runner)

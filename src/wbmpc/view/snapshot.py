@@ -85,7 +85,7 @@ GROUND: dict[str, tuple[int, ...]] = {
 def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
     """Shapes of a snapshot. What there is less of is filled with nan; positions are in ``map`` [m].
 
-    ``brakes``: 1 if all are open.
+    ``brakes``: 1 if all are open; ``obstacle``: the user's cube, see :class:`~wbmpc.view.user_commands.UserCommands`.
     """
     return {
         "numbers": (len(NUMBERS),),
@@ -98,6 +98,7 @@ def fields(scene: Scene) -> dict[str, tuple[int, ...]]:
         "goal": (7,),
         "base_goal": (3,),
         "brakes": (),
+        "obstacle": (8,),
     }
 
 

@@ -88,6 +88,7 @@ class UserCommands:
         self._legs: Array | None = None
         #: Whether anything was done.
         self.used = False
+        self._obstacle = np.zeros(8)
         self.costs, self._brakes_of_legs = self.costs_of(self.mpc), self.brakes_of(self.mpc)
 
     @property
@@ -205,6 +206,13 @@ class UserCommands:
             world.set(OBSTACLE, Box(half), position=pose[:3] - self._lift, orientation=pose[3:])
         elif OBSTACLE in world:
             world.remove(OBSTACLE)
+        self._obstacle = np.append(pose, edge)
+
+    def obstacle(self, drift: Array) -> Array:
+        """The user's cube as plans keep clear of it: pose above the floor in ``map`` and edge [m], 0 where there is none (8)."""
+        if self._obstacle[7] == 0.0:
+            return np.zeros(8)
+        return np.append(lie.pose_compose(drift, self._obstacle[:7]), self._obstacle[7])
 
     def _here(self) -> Array:
         """Where the base is estimated to be (x, y, 0) [m]; a base that does not move is at the origin."""
