@@ -110,7 +110,7 @@ class DoorTracker(BallController):
         self.door = np.zeros(2)
         self.touched = self.relaxed = self.released = np.inf
         self._loaded = np.inf  # when the push passed what the door resists [s]
-        self.fit = LeverFit(geometry.lever(push.start, 0.0))
+        self.fit, self._on_panel = LeverFit(geometry.lever(push.start, 0.0)), 0.0  # time [s] of the last touch
         self.moving, self._mean_rate = False, 0.0
         self.lever = geometry.lever(push.start, 0.0)
         self._end_effector = end_effector_motion(robot)
@@ -205,9 +205,9 @@ class DoorTracker(BallController):
         touching = self.contact.touching
         if touching and self.phase == "approach":
             self.phase, self.touched = "push", t
-            self.fit.first = end_effector.copy()
-        if touching and self.phase == "push":
-            self._place_door(end_effector)
+            self.fit.first, self._on_panel = end_effector.copy(), t
+        if touching and self.phase == "push" and np.linalg.norm(self.force) > LIGHT["on"]:  # not in a bounce
+            self._place_door(t, end_effector)
         elif self.phase == "approach" and not touching:
             self._not_there(end_effector)
         if touching and self.geometry.touches(end_effector):
@@ -260,12 +260,15 @@ class DoorTracker(BallController):
         _, damping, resistance = self.impedance
         return float(min(CLOSER_SHARE * resistance / damping, MAX_CLOSING))
 
-    def _place_door(self, end_effector: Array) -> None:
-        """The door's place after another place of an end effector (3) [m] that touches it; the closed panel is where it was touched."""
+    def _place_door(self, t: float, end_effector: Array) -> None:
+        """The door's place after another place of an end effector (3) [m] that touches it at time t [s]; the closed panel is where it was
+        touched."""
         along, normal = self.geometry.directions(0.0)
-        self.fit.update(end_effector, along, normal, self.geometry.offset)
-        self.lever = self.fit.lever
-        hinge = self.fit.first - self.lever * along + self.geometry.offset * normal
+        interval, self._on_panel = t - self._on_panel, t
+        apart = max(interval - 1.5 * self.period, 0.0)
+        self.fit.update(interval, apart, end_effector, along, normal, HALF_THICKNESS)
+        self.lever = self.fit.now
+        hinge = self.fit.first - self.fit.lever * along + self.geometry.offset * normal
         self.geometry = replace(self.geometry, hinge=(float(hinge[0]), float(hinge[1])))
 
     def _not_there(self, end_effector: Array) -> None:
