@@ -254,3 +254,14 @@ def test_the_robot_stops_when_the_plan_has_run_out():
     controller, plans, _ = driven([0.3, 0.0], 100)
     command = controller.command(1.01, plans)
     assert not command.wheel.any() and not command.arm.any() and not controller.sent.any()
+
+
+@pytest.mark.parametrize("rest", [5.0, 0.0])
+def test_wheels_that_turn_a_base_which_is_held_do_not_turn_its_odometry(rest: float) -> None:
+    """On blocks, wheels of a turn at 0.5 rad/s. Truth: it stands. A bias that is not known yet, 10 mrad/s, turns it for as long."""
+    odometry = PlanarOdometry(ROBOT.base.twist, ROBOT.base.rates, np.zeros(3))
+    for k in range(round((rest + 5.0) / 0.0025)):
+        t = 0.0025 * k
+        odometry.update(t, wheel_rates(0.0, 0.5) * max(t - rest, 0.0), 0.01)
+    assert abs(odometry.pose[2]) < (5e-3 if rest else 0.2)
+    assert not rest or abs(odometry.gyro.bias - 0.01) < 1e-3

@@ -32,12 +32,13 @@ class GyroFilter:
     Wheels whose radii are wrong turn with the distance, a bias turns with the time: both are states, so that a base which stands, or
     whose speed changes, shows the bias, and one that rolls steadily leaves it as it is. Errors of the pose are states too: a bias that is
     found late turns the way back that was driven with another one. Wheels that slip further than that beside the
-    gyro say nothing. ``doubt`` (n, n): covariance of the wheels' relative errors; ``std`` [rad/s]: doubt of the bias.
+    gyro say nothing, and ``contradicted`` it. ``doubt`` (n, n): covariance of the wheels' relative errors; ``std`` [rad/s]: doubt of the bias.
     """
 
     def __init__(self, doubt: Array) -> None:
         n = WHEELS + len(doubt)
         self._mean, self._covariance = np.zeros(n), np.zeros((n, n))
+        self.contradicted = False
         self._covariance[GYRO, GYRO], self._covariance[WHEELS:, WHEELS:] = BIAS**2, doubt
         self._clear()
 
@@ -98,7 +99,8 @@ class GyroFilter:
         off = self._turn - float(wheels.sum()) - float(row @ self._mean)
         rolls = float(np.abs(wheels).max(initial=0.0)) > COUNT
         self._covariance = p
-        if rolls and off**2 > SLIPS**2 * variance:
+        self.contradicted = rolls and off**2 > SLIPS**2 * variance
+        if self.contradicted:
             return None
         self._mean = self._mean + gain * (off / variance)
         self._covariance = p - np.outer(gain, gain / variance)
@@ -111,8 +113,9 @@ class PlanarOdometry:
     """Pose (x, y, yaw) of the body's frame, yaw not wrapped.
 
     ``twist`` (3, m) and ``rates`` (n, m): as in :class:`wbmpc.bases.planar_motion.model.PlanarBase`, the last column is the turn;
-    ``pose0`` (3); ``wheels``: what is known of the wheels' errors (left out: nothing). ``gyro``: its bias; until it is known, and while
-    the base stands, the turn is the wheels'. ``residual`` (n) [rad]: what the wheels of the last update contradict each other.
+    ``pose0`` (3); ``wheels``: what is known of the wheels' errors (left out: nothing). ``gyro``: its bias; until it is known, but where
+    wheels contradict it whatever its bias, and while the base stands, the turn is the wheels'. ``residual`` (n) [rad]: what the wheels of
+    the last update contradict each other.
     Raises :class:`InputError` for numbers that are not finite or of another length.
     """
 
@@ -158,7 +161,7 @@ class PlanarOdometry:
         yaw_rate = None if back else yaw_rate
         h, rolled = time - last[0], now - last[1]
         moved, before = self._fit @ rolled, self.pose
-        led = time - self._anchor[0] < STANDS_FOR and self.gyro.std < KNOWN
+        led = time - self._anchor[0] < STANDS_FOR and (self.gyro.std < KNOWN or self.gyro.contradicted)
         if yaw_rate is not None and led:
             turn = (yaw_rate - self.gyro.bias) * h
             moved = np.append(self._fit_linear @ (rolled - self._rates[:, -1] * turn), turn)

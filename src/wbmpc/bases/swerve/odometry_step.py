@@ -26,6 +26,9 @@ COASTING = 0.01
 SLIDES, AVERAGED, BRIEF = 0.05, 0.1, 0.5
 #: Standard deviation of the base's velocity then, as a share of the contradiction: by the wheels, and with an inertial unit's velocity.
 UNSURE, COASTS = 0.7, 0.15
+#: Wheels that turn otherwise than the gyro by so many standard deviations, averaged over AVERAGED, turn no base, nor until BRIEF after it.
+#: Standard deviations of a turn [rad/s] by creep of tires, and by wheels that turn no base.
+OTHERWISE, CREEP, UNKNOWN_TURN = 4.0, 1.5e-3, 1.0
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
 BIAS, LATE, WHEELS = 3, 4, 5
 
@@ -52,7 +55,7 @@ class Interval(IntEnum):
     HAS_GYRO = 2  # 1, or 0 without
     COUNTS = 3  # variance [rad²] of the wheels' turn by counts
     LOST = 4  # variance [m²] that wheels which slide add to each component of the pose for each second that their error has lasted
-    LOST_TURN = 5  # and [rad²] to the yaw, where no gyro sees it
+    LOST_TURN = 5  # and [rad²] to the yaw, where no gyro sees it or wheels contradict it
     SLIDING = 6  # for how long [s] wheels have slid
     SIZE = 7
 
@@ -62,6 +65,14 @@ class Way(IntEnum):
 
     APART = 0
     ROLLED = 1
+    SIZE = 2
+
+
+class Beside(IntEnum):
+    """Entries of the array ``beside``."""
+
+    OFF = 0  # rate [rad/s] of the gyro less that of the wheels, averaged
+    LEFT = 1  # for how long [s] wheels still turn no base
     SIZE = 2
 
 
@@ -85,6 +96,7 @@ class Odometry(NamedTuple):
     rolled_off: Floats  # (n) [m], and what wheels rolled in it
     way: Floats  # Way
     apart: Floats  # (n, 2) [m/s], contradictions of wheels and gyro, averaged; for how long [s] they have been large; and now small
+    beside: Floats  # Beside
     smoothed: Floats  # (3, 2n), derivatives of the twist's rate, averaged
     pose: Floats  # derivative (3, 3) of the move by the twist, then the move (3)
     by: Floats  # (3, 2n), of the move by the wheels; scratch
@@ -153,6 +165,59 @@ def wheel_noise(w: Wheels, o: Odometry, slips: float, h: float) -> float:
 
 
 @compiled
+def middle(w: Wheels) -> tuple[float, float]:
+    """Of the wheels' axes by their weights [m]."""
+    total, mx, my = 0.0, 0.0, 0.0
+    for i in range(w.n):
+        total += w.weights[i]
+        mx += w.weights[i] * w.axes[2 * i]
+        my += w.weights[i] * w.axes[2 * i + 1]
+    return mx / total, my / total
+
+
+@compiled
+def turn_variance(w: Wheels, o: Odometry, h: float, rate: float) -> float:
+    """Variance [rad²/s²] of what the averaged rates of gyro and wheels may differ by at a ``rate`` [rad/s]: by the gyro and its bias, by
+    zeros and radii, by what the wheels' way is uncertain, by lateness, whose differences cancel, and by creep."""
+    p, noise, by, size = o.p, o.noise, o.by_wheels, WHEELS + 2 * w.n
+    variance = p[BIAS * size + BIAS] + CREEP**2
+    for j in range(2 * w.n):
+        row = (WHEELS + j) * size
+        total = 2.0 * p[row + BIAS]
+        for k in range(2 * w.n):
+            total += p[row + WHEELS + k] * by[4 * w.n + k] / h
+        variance += total * by[4 * w.n + j] / h
+    late = (rate * noise[Noise.AGE]) ** 2 + o.interval[Interval.COUNTS]
+    return variance + (o.covariance[8] / h + noise[Noise.GYRO] ** 2) / (2.0 * AVERAGED) + late / AVERAGED**2
+
+
+@compiled
+def follow_gyro(w: Wheels, o: Odometry, h: float) -> None:
+    """Where the wheels turn otherwise than the gyro, by more than either is uncertain, as on blocks or where something holds the base: the
+    turn is the gyro's, about the middle of the wheels, and shows neither radii nor bias. All of it is in the interval, for a replay."""
+    interval, beside, twist = o.interval, o.beside, w.twist
+    beside[Beside.LEFT] = max(beside[Beside.LEFT] - h, 0.0)
+    if interval[Interval.HAS_GYRO] == 0.0:
+        return
+    turn = interval[Interval.TURN] - o.mean[BIAS] * h
+    more = turn - twist[2]
+    beside[Beside.OFF] += (1.0 - np.exp(-h / AVERAGED)) * (more / h - beside[Beside.OFF])
+    if beside[Beside.OFF] ** 2 > OTHERWISE**2 * turn_variance(w, o, h, turn / h):
+        beside[Beside.LEFT] = BRIEF
+    if beside[Beside.LEFT] == 0.0:
+        return
+    mx, my = middle(w)
+    by = o.cross  # scratch
+    by[0], by[1], by[2] = my, -mx, 1.0
+    for row in range(3):
+        twist[row] += more * by[row]
+        for k in range(3):
+            o.covariance[3 * row + k] += (UNKNOWN_TURN * h) ** 2 * by[row] * by[k]
+    for j in range(6 * w.n):
+        o.by_wheels[j] = 0.0
+
+
+@compiled
 def coast(w: Wheels, o: Odometry, h: float) -> None:
     """Mix what the wheels say of an interval of ``h`` [s] with the velocity of an inertial unit, by their weights."""
     own, total = o.inertial[2], o.inertial[2]
@@ -172,21 +237,17 @@ def coast(w: Wheels, o: Odometry, h: float) -> None:
 
 
 @compiled
-def slide(w: Wheels, o: Odometry, h: float) -> None:
-    """What wheels add to the uncertainty that have contradicted each other, or the gyro, for long, and still do: the longer, the more in each
-    interval. A wheel that counts little beside others is no contradiction; beside one alone it is."""
+def slide(w: Wheels, o: Odometry, h: float, more: float) -> None:
+    """What wheels add to the uncertainty that have contradicted each other, or the gyro (by ``more`` [rad]), for long, and still do: the longer,
+    the more in each interval. A wheel that counts little beside others is no contradiction; beside one alone it is."""
     n, apart, interval, covariance = w.n, o.apart, o.interval, o.covariance
-    top, total, mx, my, arm = SMALLEST, 0.0, 0.0, 0.0, 0.0
+    top, total, arm = SMALLEST, 0.0, 0.0
     for i in range(n):
         top = max(top, w.weights[i])
         total += w.weights[i]
-        mx += w.weights[i] * w.axes[2 * i]
-        my += w.weights[i] * w.axes[2 * i + 1]
-    mx, my = mx / total, my / total
+    mx, my = middle(w)
     has_gyro = interval[Interval.HAS_GYRO] > 0.0
-    more, freedoms = 0.0, -3.0
-    if has_gyro:
-        more, freedoms = w.twist[2] - interval[Interval.TURN] + o.mean[BIAS] * h, -2.0
+    freedoms = -2.0 if has_gyro else -3.0
     new, square = 1.0 - np.exp(-h / AVERAGED), 0.0
     for i in range(n):
         x, y, share = w.axes[2 * i] - mx, w.axes[2 * i + 1] - my, 1.0
@@ -198,7 +259,7 @@ def slide(w: Wheels, o: Odometry, h: float) -> None:
         freedoms += 2.0 * share
         arm += (x * x + y * y) / n
     square /= max(freedoms, 1.0)
-    large = square > SLIDES**2
+    large = square > SLIDES**2 or o.beside[Beside.LEFT] > 0.0
     apart[2 * n] = apart[2 * n] + h if large else max(apart[2 * n] - h, 0.0)
     apart[2 * n + 1] = 0.0 if large else apart[2 * n + 1] + h
     if apart[2 * n + 1] > BRIEF:
@@ -211,6 +272,8 @@ def slide(w: Wheels, o: Odometry, h: float) -> None:
         interval[Interval.LOST] = 2.0 * square * h
         if not has_gyro:
             interval[Interval.LOST_TURN] = interval[Interval.LOST] / arm
+        elif o.beside[Beside.LEFT] > 0.0:  # a gyro may be the wrong one
+            interval[Interval.LOST_TURN] = 2.0 * (COASTS * o.beside[Beside.OFF]) ** 2 * h
         covariance[0] += square * h * h
         covariance[4] += square * h * h
 
@@ -228,8 +291,10 @@ def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> No
     counts = wheel_noise(w, o, slips, h)
     interval[Interval.H], interval[Interval.TURN], interval[Interval.HAS_GYRO] = h, turn, float(has_gyro)
     interval[Interval.COUNTS] = counts
+    more = w.twist[2] - turn + o.mean[BIAS] * h if has_gyro else 0.0
+    follow_gyro(w, o, h)
     coast(w, o, h)
-    slide(w, o, h)
+    slide(w, o, h, more)
 
 
 @compiled

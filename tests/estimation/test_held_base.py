@@ -1,0 +1,143 @@
+"""A base whose wheels turn and which does not: on blocks, or held. Truth: it stands, in MuJoCo or because the gyro is one that does not turn."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from wheels_on_paper import ring
+
+from toys import made
+from wbmpc import lie
+from wbmpc.bases.swerve.controller import SwerveController
+from wbmpc.bases.swerve.fused_odometry import FusedOdometry
+from wbmpc.bases.swerve.messages import SwerveCommand
+from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.model.robot import load_robot
+from wbmpc.model.wheels import rolling_inverse_kinematics
+
+PERIOD, RATE = 0.0025, 0.5
+FOUR = ring(4)
+#: Of wheels that are not around the base's origin: a turn of theirs moves it.
+BESIDE = ring(4)
+BESIDE.hinge[:] += [0.4, -0.3]
+
+
+class Turning:
+    """Wheels that roll as those of a base that turns; the gyro says what it really does."""
+
+    def __init__(self, odometry: FusedOdometry) -> None:
+        self.odometry, self.t, self.wheel = odometry, 0.0, np.zeros(4)
+        self.rng = np.random.default_rng(0)
+
+    def go(self, seconds: float, wheels: float, gyro: float) -> None:
+        zero = np.zeros(4)
+        steer, rates = rolling_inverse_kinematics(self.odometry.geometry, zero, zero, [0.0, 0.0, RATE], zero)
+        for _ in range(round(seconds / PERIOD)):
+            self.t, self.wheel = self.t + PERIOD, self.wheel + wheels / RATE * rates * PERIOD
+            noise = 2e-4 / np.sqrt(PERIOD) * self.rng.normal()
+            self.odometry.update(self.t, zero, steer, self.wheel, gyro + noise)
+
+    def wrong_radii(self) -> float:
+        """The largest relative error, of wheels that are as described."""
+        return float(np.abs(self.odometry.calibration.wheel_radius / self.odometry.geometry.wheel_radius - 1.0).max())
+
+
+@pytest.mark.parametrize("geometry", [FOUR, BESIDE])
+@pytest.mark.parametrize("rate", [RATE, -0.05])
+def test_wheels_that_turn_a_base_which_does_not_teach_nothing(geometry: object, rate: float) -> None:
+    base = Turning(FusedOdometry(geometry))  # type: ignore[arg-type]
+    base.go(5.0, 0.0, 0.0)
+    base.go(10.0, rate, 0.0)
+    assert base.wrong_radii() < 1e-3 and abs(base.odometry.gyro_bias) < 1e-3
+    assert abs(base.odometry.pose[2]) < 5e-3
+    assert np.all(np.abs(base.odometry.pose) < 3.0 * np.sqrt(np.diag(base.odometry.covariance)))
+    assert abs(base.odometry.twist[2]) < 0.05
+    # it comes down from the blocks, and odometry is as before
+    base.go(1.0, 0.0, 0.0)
+    before, start = base.odometry.covariance[2, 2], base.odometry.pose
+    base.go(4.0, rate, rate)
+    turned = lie.se2_log(start, base.odometry.pose)
+    np.testing.assert_allclose(turned, [0.0, 0.0, 4.0 * rate], atol=0.02)
+    assert base.odometry.covariance[2, 2] - before < 0.02**2
+
+
+def test_the_deviation_grows_while_wheels_and_gyro_contradict_each_other() -> None:
+    """One of the two is wrong: by hand, 0.15 of the contradiction to the yaw, for as long as it has lasted beyond half a second."""
+    base, spreads = Turning(FusedOdometry(FOUR)), []
+    base.go(5.0, 0.0, 0.0)
+    for _ in range(3):
+        base.go(2.0, RATE, 0.0)
+        spreads.append(np.sqrt(base.odometry.covariance[2, 2]))
+    np.testing.assert_allclose(spreads, 0.15 * RATE * np.array([1.5, 3.5, 5.5]), rtol=0.15)
+    base.go(2.0, RATE, RATE)
+    stays = np.sqrt(base.odometry.covariance[2, 2])
+    base.go(5.0, RATE, RATE)
+    np.testing.assert_allclose(np.sqrt(base.odometry.covariance[2, 2]), stays, rtol=0.02)
+
+
+def test_a_late_global_pose_decides_as_it_was_decided_in_time() -> None:
+    """Truth: the same pose taken at once. Replayed intervals are of both kinds."""
+    late, at_once = Turning(FusedOdometry(FOUR)), Turning(FusedOdometry(FOUR))
+    for base in (late, at_once):
+        base.go(2.0, 0.0, 0.0)
+        base.go(1.0, RATE, 0.0)
+    then, pose, covariance = at_once.t, at_once.odometry.pose, 1e-4 * np.eye(3)
+    assert at_once.odometry.correct(then, pose, covariance)
+    for base in (late, at_once):
+        base.go(0.4, RATE, 0.0)
+    assert late.odometry.correct(then, pose, covariance)
+    np.testing.assert_allclose(late.odometry.pose, at_once.odometry.pose, atol=1e-6)
+    np.testing.assert_allclose(late.odometry.covariance, at_once.odometry.covariance, rtol=1e-3, atol=1e-9)
+    assert late.wrong_radii() < 1e-3
+
+
+def test_both_back_ends_say_the_same_of_it() -> None:
+    both = [Turning(made(back_end, FusedOdometry, FOUR)) for back_end in ("compiled", "interpreted")]
+    for base in both:
+        base.go(0.1, 0.0, 0.0)
+        base.go(0.7, RATE, 0.0)
+        base.go(0.1, RATE, RATE)
+    a, b = (base.odometry._state for base in both)
+    np.testing.assert_allclose(a.mean, b.mean, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(a.p, b.p, rtol=1e-11, atol=1e-14)
+
+
+def lifted(robot_height: float, gap: float):  # type: ignore[no-untyped-def]
+    """An edit that puts jacks under a base, which lift its wheels off the floor by ``gap`` [m]."""
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        body = next(b for b in spec.bodies if b.name not in ("", "world"))
+        for x in (-0.25, 0.25):
+            for y in (-0.25, 0.25):
+                place = [x, y, 0.05 - robot_height - gap]
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05, 0, 0], pos=place, mass=0, friction=[1, 0.005, 1e-4]
+                )
+
+    return edit
+
+
+@pytest.mark.parametrize("blocks", [True, False])
+def test_a_robot_on_blocks_stands_for_its_estimator(blocks: bool) -> None:
+    """Truth: MuJoCo's pose, on jacks and on the floor, with the same commands."""
+    robot = load_robot("swerve-ur10")
+    geometry, home = robot.base.geometry, robot.home.copy()
+    leg = home[robot.state["leg"]]
+    axes = geometry.steer_axes(leg)
+    home[robot.state["steer"]] = np.arctan2(axes[:, 0], -axes[:, 1]) - geometry.wheel_heading - geometry.leg_angles(leg)
+    height = SwervePlant(robot.description, home).world.base_pose()[2]
+    edit = lifted(height, 0.03) if blocks else None
+    plant = SwervePlant(robot.description, home, seed=3, edit=edit, lift=0.03 if blocks else 0.0)
+    estimator = SwerveController(robot, plant.truth().pose, PERIOD).estimator
+    start = plant.truth().pose[2]
+    for k in range(round(5.0 / PERIOD)):
+        estimator.process(plant.measure())
+        truth = plant.truth().pose
+        wheel = np.full(4, 5.0 * (k * PERIOD > 2.0))
+        plant.step(SwerveCommand(wheel, np.zeros(4), np.zeros(6), np.zeros(4)), round(PERIOD / plant.timestep))
+    odometry, error = estimator.odometry, estimator.odometry.pose - truth
+    assert (abs(truth[2] - start) < 1e-3) if blocks else (truth[2] - start > 1.0)
+    assert np.abs(odometry.calibration.wheel_radius / 0.1 - 1.0).max() < 3e-3
+    assert error @ np.linalg.solve(odometry.covariance, error) / 3.0 < 3.0
+    assert (np.sqrt(odometry.covariance[2, 2]) > 0.1) == blocks
