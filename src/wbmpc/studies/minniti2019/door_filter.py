@@ -77,6 +77,11 @@ class DoorFilter:
         self.covariance[:2, :], self.covariance[:, :2] = 0.0, 0.0
         self.covariance[0, 0], self.covariance[1, 1] = self.noise.angle**2, self.noise.rate**2
 
+    def shift(self, angle: float) -> None:
+        """What was an angle is now larger by ``angle`` [rad]: the door's place is known better, the door has not moved."""
+        finite("door filter", angle=angle)
+        self.state[0] += angle
+
     def update(self, interval: float, torque: float, angle: float, rate: float) -> None:
         """``torque`` [N m] that acted over the last ``interval`` [s]; measured ``angle`` [rad] and ``rate`` [rad/s] now.
 

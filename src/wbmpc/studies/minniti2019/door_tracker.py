@@ -269,7 +269,9 @@ class DoorTracker(BallController):
         self.fit.update(interval, apart, end_effector, along, normal, HALF_THICKNESS)
         self.lever = self.fit.now
         hinge = self.fit.first - self.fit.lever * along + self.geometry.offset * normal
-        self.geometry = replace(self.geometry, hinge=(float(hinge[0]), float(hinge[1])))
+        known, self.geometry = self.geometry, replace(self.geometry, hinge=(float(hinge[0]), float(hinge[1])))
+        if known.touches(end_effector) and self.geometry.touches(end_effector):
+            self.filter.shift(self.geometry.angle(end_effector) - known.angle(end_effector))
 
     def _not_there(self, end_effector: Array) -> None:
         """An end effector (3) [m] that touches nothing is before the panel: one that comes slowly would else stop where the panel is believed to
