@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,7 +30,7 @@ from wbmpc.ros2.request_queue import RequestQueue
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import RosSettings, joint_groups, settings_of
 from wbmpc.runtime.clock import VirtualClock, WallClock
-from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.runtime.safety import RealTimeSettings, SafeStop
 from wbmpc.runtime.stop_control import StopControl
 
 PERIOD, SPEED, BIAS = 0.0025, 0.8, 0.01
@@ -151,6 +152,39 @@ def test_poses_that_waited_are_of_their_stamps(name: str, seconds: float, monkey
         assert seen is not None
         worst = max(worst, float(np.abs(seen[1][robot.state["base"]] - [way_at(k), 0.0, 0.0]).max()))
     assert worst < 0.03
+
+
+@pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10"])
+def test_odometry_goes_on_without_the_other_localization(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that stands for its node, driven by others, whose localization ends after 2 s: the same pose comes again and again, under its old
+    stamp. Before the first pose nothing is said of where it is."""
+    robot = load_robot(name)
+    settings = settings_of(robot)(topics={"pose": "/pose"})
+    adapter = base_type(robot.description.base.type).ros(robot, settings, PERIOD)
+    bus, now = Listening(), [0.0]
+    robot_io = BusRobot(bus, adapter, settings, WallClock())  # type: ignore[arg-type]
+    source = PoseSource(bus, settings, lambda: now[0], lambda: now[0])  # type: ignore[arg-type]
+    control = SimpleNamespace(settings=settings, source=source, adapter=adapter, clock=robot_io.clock, running=False)
+    adapter.fix = ExternalPose(control).take  # type: ignore[arg-type]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    messages, way_at = Driven(robot, settings), lambda k: SPEED * PERIOD * max(k - 400, 0)
+    for k in range(1600):
+        now[0] = 100.0 + k * PERIOD
+        if k >= 100 and k % 13 == 0:
+            at = min(k, 800)
+            source._take(located(100.0 + at * PERIOD, way_at(at), settings.frames.world))
+        for topic, message in messages.at(7.0 + k * PERIOD, way_at(k), SPEED if k > 400 else 0.0).items():
+            bus.take[topic](message, None)
+        if k % 4:
+            continue
+        for measurement in robot_io.unread():
+            with suppress(SafeStop):
+                adapter.stand(measurement)
+        seen = adapter.snapshot()
+        assert (seen is not None) is (k >= 104)
+        if seen is not None:
+            assert seen[1][robot.state["base"]] == pytest.approx([way_at(k), 0.0, 0.0], abs=0.03)
+    assert source.lost()
 
 
 def listening(
