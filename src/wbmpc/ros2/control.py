@@ -386,9 +386,9 @@ class ControlNode:
             self.set_task(task, self.adapter.references(task, seen[1]))
 
     def _stop_trajectories(self) -> None:
-        """Who follows trajectories brakes as the other drives do, once."""
+        """Who follows trajectories brakes as the other drives do, once. A simulated robot that has restarted follows none, and is elsewhere."""
         self.trajectories.restart()
-        if (seen := self.adapter.snapshot()) is not None:
+        if not getattr(self.clock, "went_back", False) and (seen := self.adapter.snapshot()) is not None:
             self.trajectories.stop(seen[1], self.settings.safety.ramp, self.now, self.clock.now() - seen[0])
 
     def _stop_runner(self, message: str) -> None:
