@@ -301,9 +301,9 @@ class DdsNode:
     def close(self) -> None:
         """Leave the bus. Callbacks have ended when this returns. Raises :class:`InputError` in a callback that is not deferred."""
         LOCAL.check_waits(f"closes node '{self.name}'")
+        self._mismatches.close()
         if not self.in_use.close():
             return
-        self._mismatches.close()
         with self._lock:
             entities = [*self._readers, *self._writers]
             self._readers, self._writers = [], []
