@@ -444,7 +444,7 @@ def test_an_answer_waits_for_the_reader_of_who_asked(nodes: tuple[Any, Any], def
         one.work()
     reader = DataReader(other._participant, replies, qos=other._qos(DEFAULT, said, mark))
     got: list[bytes] = []
-    assert wait_until(lambda: one.work() or got.extend(d for d, _ in dds._taken(reader)) or got)
+    assert wait_until(lambda: one.work() or got.extend(d for d, _ in dds.taken(reader)) or got)
     assert got[0][4:20] == bytes(range(16)) and count == [1]
     reader.__del__()
     writer.__del__()

@@ -3,7 +3,12 @@ hand."""
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,18 +19,18 @@ from wbmpc.bases import base_type
 from wbmpc.bases.swerve.ros_leg_control import LegControl
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.wheels.control import wheels_base
-from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.goals import Planner
+from wbmpc.ros2.hold_ups import HoldUps
 from wbmpc.ros2.joints import Waited
 from wbmpc.ros2.localization import ExternalPose, PoseSource
 from wbmpc.ros2.request_queue import RequestQueue
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import RosSettings, joint_groups, settings_of
 from wbmpc.runtime.clock import VirtualClock, WallClock
-from wbmpc.runtime.safety import RealTimeSettings
+from wbmpc.runtime.safety import RealTimeSettings, SafeStop
 from wbmpc.runtime.stop_control import StopControl
 
 PERIOD, SPEED, BIAS = 0.0025, 0.8, 0.01
@@ -149,6 +154,48 @@ def test_poses_that_waited_are_of_their_stamps(name: str, seconds: float, monkey
     assert worst < 0.03
 
 
+@pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10"])
+def test_odometry_goes_on_without_the_other_localization(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that stands for its node, driven by others, whose localization ends after 2 s: the same pose comes again and again, under its old
+    stamp. Before the first pose nothing is said of where it is."""
+    robot = load_robot(name)
+    settings = settings_of(robot)(topics={"pose": "/pose"})
+    adapter = base_type(robot.description.base.type).ros(robot, settings, PERIOD)
+    bus, now = Listening(), [0.0]
+    robot_io = BusRobot(bus, adapter, settings, WallClock())  # type: ignore[arg-type]
+    source = PoseSource(bus, settings, lambda: now[0], lambda: now[0])  # type: ignore[arg-type]
+    control = SimpleNamespace(settings=settings, source=source, adapter=adapter, clock=robot_io.clock, running=False)
+    adapter.fix = ExternalPose(control).take  # type: ignore[arg-type]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    messages, way_at = Driven(robot, settings), lambda k: SPEED * PERIOD * max(k - 400, 0)
+    for k in range(1600):
+        now[0] = 100.0 + k * PERIOD
+        if k >= 100 and k % 13 == 0:
+            at = min(k, 800)
+            source._take(located(100.0 + at * PERIOD, way_at(at), settings.frames.world))
+        for topic, message in messages.at(7.0 + k * PERIOD, way_at(k), SPEED if k > 400 else 0.0).items():
+            bus.take[topic](message, None)
+        if k % 4:
+            continue
+        for measurement in robot_io.unread():
+            with suppress(SafeStop):
+                adapter.stand(measurement)
+        seen = adapter.snapshot()
+        assert (seen is not None) is (k >= 104)
+        if seen is not None:
+            assert seen[1][robot.state["base"]] == pytest.approx([way_at(k), 0.0, 0.0], abs=0.03)
+    assert source.lost()
+
+
+def listening(
+    robot: RobotModel, settings: RosSettings, bus: Listening, now: list[float], wall: list[float] | None = None
+) -> tuple[RequestQueue, Callable[[], None]]:
+    """What hears goals at times that are set by hand, and its look at the ``wall``'s."""
+    by_wall = now if wall is None else wall
+    hold_ups, planner = HoldUps(lambda: by_wall[0]), Planner(robot, settings.speeds, settings.goals)
+    return RequestQueue(hold_ups, bus, planner, settings, lambda: 0.0, lambda: now[0]), hold_ups.look  # type: ignore[arg-type]
+
+
 def test_a_stamp_is_a_time_only_after_a_silence_that_has_room_for_it() -> None:
     """By hand: messages that come at once after 2 s, one of a clock that was set ahead, bursts after 40 ms."""
     waited = Waited()
@@ -178,17 +225,15 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     robot = load_robot("differential-ur10")
     settings, bus, now = settings_of(robot)(), Listening(), [10.0]
     bus.publishers = lambda *given: []  # type: ignore[attr-defined]
-    queue = RequestQueue(
-        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
-    )  # type: ignore[arg-type]
+    queue, look = listening(robot, settings, bus, now)
     speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
-    queue.look()
+    look()
     speed(0.5)
     assert queue.take() is not None
     now[0] += 2.0
     for k in range(3):  # before the node's own thread goes on, and after
         speed(0.5)
-        queue.look()
+        look()
         if stopped:
             queue.stop()
         request = queue.take()
@@ -199,51 +244,45 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     assert "held up" in queue.rejected
     for _ in range(10):
         now[0] += 0.05
-        queue.look()
+        look()
         speed(0.5)
     assert (queue.take() is not None) is not stopped
     speed(0.0)
     speed(0.5)
     assert queue.take() is not None
-    queue.look_away()  # a goal is begun, which takes long
-    now[0] += 2.0
-    speed(0.4)
-    queue.look()
-    assert queue.take() is not None and not queue._latched
+    assert not queue._latched
 
 
-def test_a_run_that_takes_long_to_end_holds_nothing_up() -> None:
-    """A goal ends the run before it, which takes 2 s; goals and speeds come meanwhile, and afterwards. Truth: by hand, the bus goes on."""
-    robot = load_robot("differential-ur10")
-    settings, bus, now = settings_of(robot)(), Listening(), [10.0]
-    queue = RequestQueue(
-        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
-    )  # type: ignore[arg-type]
-    header, at = SimpleNamespace(frame_id="odom"), SimpleNamespace(x=1.0, y=0.0, z=0.0)
-    pose = SimpleNamespace(position=at, orientation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0))
+#: Works for long beside the thread that looks, then waits to be stopped; says whether a goal of its beginning is old.
+WORKS = """
+import sys, time
+from wbmpc.ros2.hold_ups import HoldUps
+hold_ups = HoldUps()
+hold_ups.begin()
+came = time.monotonic()
+time.sleep(2.5)
+print(hold_ups.since(came), bool(hold_ups.too_old("it")), flush=True)
+sys.stdin.readline()
+print(hold_ups.since(came), flush=True)
+"""
 
-    def count() -> None:
-        bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
-        assert queue.take() is not None
-        bus.take["/goal_pose"](SimpleNamespace(header=header, pose=pose))
-        assert queue.take() is not None and not queue.rejected
 
-    def end() -> None:
-        now[0] += 2.0
-        count()
-
-    def begin(x: Any) -> None:
-        raise InputError("the run is not begun")
-
-    queue.look()
-    control = SimpleNamespace(
-        request_queue=queue, _end_runner=end, settings=settings, adapter=SimpleNamespace(begin=begin)
+def test_a_process_is_held_up_by_the_system_and_not_by_its_own_work() -> None:
+    """Goals that came meanwhile are old after one of the two only: a run that ends, or begins, may take seconds. Truth: SIGSTOP."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", WORKS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
     )
-    with pytest.raises(InputError, match="not begun"):
-        ControlNode.start(control, robot.home, None, None)  # type: ignore[arg-type]
-    count()
-    queue.look()
-    count()
+    assert child.stdin is not None and child.stdout is not None
+    try:
+        assert child.stdout.readline().split() == ["False", "False"]
+        child.send_signal(signal.SIGSTOP)
+        time.sleep(1.2)
+        child.send_signal(signal.SIGCONT)
+        child.stdin.write("\n")
+        assert child.stdout.readline().split() == ["True"]
+    finally:
+        child.kill()
+        child.communicate()
 
 
 @pytest.mark.parametrize(("seconds", "old"), [(0.05, ""), (0.7, "wrench"), (3.0, "wrench goal legs")])
@@ -251,12 +290,10 @@ def test_goals_and_commands_that_waited_in_a_process_that_was_held_up_do_not_cou
     """Goals, wrenches, commands for legs and brakes that were sent meanwhile; sent again they count. Truth: by hand."""
     robot = load_robot("swerve-ur10")
     settings, bus, now = SwerveRosSettings(topics={"wrench": "/wrench"}), Listening(), [10.0]
-    queue = RequestQueue(
-        bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, *2 * [lambda: now[0]]
-    )  # type: ignore[arg-type]
+    queue, look = listening(robot, settings, bus, now)
     bus.serve = lambda topic, kind, answer, **keys: bus.take.update({topic: answer})  # type: ignore[attr-defined]
     adapter = SimpleNamespace(robot=robot, settings=settings, brakes=None, snapshot=lambda: None)
-    legs = LegControl(SimpleNamespace(node=bus, request_queue=queue, running=True), adapter).commands  # type: ignore[arg-type]
+    legs = LegControl(SimpleNamespace(node=bus, hold_ups=queue.hold_ups, running=True), adapter).commands  # type: ignore[arg-type]
     header = SimpleNamespace(frame_id="odom", stamp=SimpleNamespace(sec=0, nanosec=0))
     pose = SimpleNamespace(
         position=SimpleNamespace(x=1.0, y=0.0, z=0.0), orientation=SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
@@ -288,19 +325,19 @@ def test_goals_and_commands_that_waited_in_a_process_that_was_held_up_do_not_cou
         named = {"wrench": bool(np.any(queue.wrench())), "goal": goals[0], "legs": orders[0]}
         return " ".join(name for name, counts in named.items() if counts)
 
-    queue.look()
+    look()
     assert counted() == "wrench goal legs"
-    now[0] += 0.6  # the wrench runs out
-    queue.look_away()
-    queue.look()
+    for _ in range(8):  # the wrench runs out
+        now[0] += 0.08
+        look()
     now[0] += seconds
     count = " ".join(n for n in ("wrench", "goal", "legs") if n not in old)
     assert counted() == count  # in another thread than the node's own, which goes on first
-    queue.look()
+    look()
     assert counted() == count
     for _ in range(8):
         now[0] += 0.02
-        queue.look()
+        look()
     assert counted() == "wrench goal legs"
 
 
@@ -324,10 +361,10 @@ def test_a_simulated_time_that_leaps_has_held_nothing_up() -> None:
     """The first time of a simulator, and of one that was restarted: goals and speeds count. By hand: leaps of 1000 s and 100 s."""
     robot = load_robot("differential-ur10")
     settings, bus, now = settings_of(robot)(), Listening(), [0.0]
-    queue = RequestQueue(bus, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, lambda: now[0])  # type: ignore[arg-type]
+    queue, look = listening(robot, settings, bus, now, [0.0])
     for leap in (1000.0, 100.0):
-        queue.look()
+        look()
         now[0] += leap
-        queue.look()
+        look()
         bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
         assert queue.take() is not None and not queue.rejected

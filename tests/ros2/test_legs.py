@@ -14,11 +14,13 @@ from needs import MISSING, needs_dds, private, wait_until
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.ros import SwerveRosAdapter
+from wbmpc.bases.swerve.ros_leg_control import LegControl
 from wbmpc.bases.swerve.ros_legs import Legs
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.bus import DEFAULT
+from wbmpc.ros2.hold_ups import HoldUps
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.publishers import rejections
 from wbmpc.stability import leg_angles
@@ -120,6 +122,36 @@ def test_a_leg_on_its_way_stays_on_it_where_an_order_is_rejected(robot: Any) -> 
     assert legs.angles[0] == 0.3 and legs.watch(brakes, 3.0, np.array([0.3, 0.0, 0.0, 0.0]))
     assert not brakes.commanded(4.0).any()
     legs.stop()
+
+
+def test_a_leg_that_arrives_while_a_goal_is_planned_is_braked() -> None:
+    """Its plan goes 0.08 rad farther, where it would end. By hand: legs that arrive, a plan that takes long. An order of that time waits; what the
+    plan knows of the legs is of before."""
+    bus = SimpleNamespace(subscribe=lambda *given, **keys: None, serve=lambda *given, **keys: None)
+    brakes, home, followed = BrakeControl(ROBOT), ROBOT.home.copy(), list[Any]()
+    adapter = SimpleNamespace(
+        robot=ROBOT, settings=SwerveRosSettings(), brakes=brakes, legs=None, snapshot=lambda: (0.0, home),
+        swing=lambda legs: None, references=lambda task, x: adapter.legs.copy(),
+    )  # fmt: skip
+    control = SimpleNamespace(
+        node=bus, hold_ups=HoldUps(), clock=SimpleNamespace(now=lambda: now), running=True, stopping=False, active_task="",
+        planning=SimpleNamespace(busy=False), set_task=lambda task, legs: followed.append(legs),
+    )  # fmt: skip
+    legs, now, at = LegControl(control, adapter), 1.0, home[ROBOT.state["leg"]]  # type: ignore[arg-type]
+    target, order = at + [0.3, 0.0, 0.0, 0.0], np.full(4, np.nan)
+    legs.commands._put(np.where(target == at, order, target), order)
+    legs.update()
+    assert brakes.commanded(2.0)[0] == 1.0 and followed.pop()[0] > target[0] + 0.07
+    control.planning.busy, now = True, 2.0
+    home[ROBOT.state["leg"]] = target
+    legs.commands._put(np.where(target == at, order, target + 0.2), order)
+    legs.update()
+    assert brakes.commanded(3.0)[0] == 0.0 and followed.pop()[0] == target[0] and legs.commands.waiting
+    legs.commands.drop()
+    control.planning.busy, now = False, 3.0
+    for _ in range(2):
+        legs.update()
+    assert [legs[0] for legs in followed] == [target[0]]
 
 
 def test_a_leg_that_stops_short_ends_with_its_brake_closed(robot: Any) -> None:

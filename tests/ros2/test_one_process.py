@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from needs import everything, needs_dds, private, wait_until
@@ -295,3 +296,47 @@ def test_the_next_node_goes_on_with_the_participant_of_a_closed_one() -> None:
     assert found["next"] == before.node != found["last"]
     for node in (*after, other):
         node.close()
+
+
+def test_a_node_that_closes_waits_for_who_uses_it_and_who_waits_there_ends() -> None:
+    """A thread waits for an answer, another one is within the making of an endpoint: on entities that are being deleted Cyclone DDS crashes.
+    Truth: what ends when, by events."""
+    node, ended, making, go_on = (
+        open_node("closes", "dds", Network.of(private())),
+        [],
+        threading.Event(),
+        threading.Event(),
+    )
+    make = node._own
+
+    def slow(*given: Any) -> None:
+        making.set()
+        assert go_on.wait(60.0)
+        make(*given)
+
+    def run(what: str, call: Callable[[], object]) -> None:
+        try:
+            call()
+            ended.append(what)
+        except Exception as error:
+            ended.append(f"{what}: {type(error).__name__}: {error}")
+
+    asks = threading.Thread(target=run, args=("asks", lambda: node.call("/nobody", "std_srvs/srv/Trigger", {}, 60.0)))
+    asks.start()
+    assert wait_until(lambda: len(node._writers) == 1)
+    node._own = slow  # type: ignore[method-assign]
+    makes = threading.Thread(target=run, args=("makes", lambda: node.publisher("/late", "std_msgs/msg/Float64")))
+    makes.start()
+    assert making.wait(60.0)
+    closes = threading.Thread(target=run, args=("closes", node.close))
+    closes.start()
+    asks.join(60.0)
+    closes.join(0.2)
+    assert ended == ["asks: RunAborted: node 'closes' is closed"]
+    go_on.set()
+    closes.join(60.0)
+    makes.join(60.0)
+    assert sorted(ended[1:]) == ["closes", "makes"]
+    for use in (lambda: node.publisher("/t", "std_msgs/msg/Float64"), lambda: node.publishers("/t")):
+        with pytest.raises(RunAborted, match="node 'closes' is closed"):
+            use()

@@ -18,6 +18,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ros2.convert import planar, planar_path, read_pose, read_poses
 from wbmpc.ros2.goals import Planner
+from wbmpc.ros2.hold_ups import HoldUps
 from wbmpc.ros2.opening import open_node
 from wbmpc.ros2.publishers import rejections
 from wbmpc.ros2.request_queue import RequestQueue
@@ -116,6 +117,55 @@ def test_a_goal_that_is_long_in_planning_keeps_nobody_waiting(
     assert p.until(lambda: p.control.request_queue.rejected == "a goal is rejected: the robot has stopped meanwhile")
     p.run(0.2)
     assert p.control.runner.stopped and p.standin.speed == 0.0
+
+
+@pytest.mark.parametrize("where", ["planning", "waiting behind another one", "beginning"])
+def test_a_goal_from_before_the_process_was_held_up_does_not_start(
+    pair: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """A robot that stands; the process is held up for 3 s while a goal is planned, or while the run of it begins, and so are a second goal and
+    a command for legs that wait meanwhile. By hand: a clock that is set. What is sent again starts."""
+    p, begun, go_on, now = pair(), threading.Event(), threading.Event(), [10.0]
+    adapter, hold_ups = p.control.adapter, p.control.hold_ups
+    monkeypatch.setattr(hold_ups, "wall", lambda: now[0])
+    plan, begin = adapter.planner.to_base, adapter.begin
+    p.ready()
+    hold_ups.look()
+
+    def slow(*given: Any) -> Any:
+        begun.set()
+        assert go_on.wait(60.0)
+        return plan(*given)
+
+    def held(x: Any) -> None:
+        begin(x)
+        now[0] += 3.0
+
+    says = "a goal is rejected: it is from before the node was held up"
+    if where == "beginning":
+        monkeypatch.setattr(adapter, "begin", held)
+        p.go(1.5)
+    else:
+        monkeypatch.setattr(adapter.planner, "to_base", slow)
+        p.go(1.5)
+        assert p.until(begun.is_set)
+        if where != "planning":
+            p.go(2.5)
+            p.send("/leg_configuration", "std_msgs/msg/String", {"data": "X"})
+        p.run(0.1)
+        now[0] += 3.0
+        go_on.set()
+    assert p.until(lambda: p.control.request_queue.rejected == says)
+    p.run(0.2)
+    assert p.control.runner is None and p.control.request_queue.running is None and p.standin.speed == 0.0
+    legs = p.control.base_commands.commands
+    assert ("from before" in legs.rejected) is (where == "waiting behind another one") and not legs.waiting
+    monkeypatch.setattr(adapter, "begin", begin)
+    for _ in range(3):  # as the thread of the node does
+        hold_ups.look()
+        now[0] += 0.09
+    p.go(1.5)
+    assert p.until(lambda: p.control.running) and p.control.request_queue.rejected == ""
 
 
 def test_who_ends_brings_the_robot_to_rest_before_it_waits_for_a_plan(
@@ -271,7 +321,8 @@ def test_a_path_in_the_bases_frame_is_moved_as_its_poses_are() -> None:
     robot = load_robot("differential-ur10")
     settings = settings_of(robot)()
     node: Any = SimpleNamespace(subscribe=lambda *given, **also: None)
-    queue = RequestQueue(node, Planner(robot, settings.speeds, settings.goals), settings, lambda: 0.0, time.monotonic)
+    planner = Planner(robot, settings.speeds, settings.goals)
+    queue = RequestQueue(HoldUps(), node, planner, settings, lambda: 0.0, time.monotonic)
     rng, x = np.random.default_rng(4), robot.home.copy()
     x[robot.state["base"]] = [1.0, -2.0, 0.7]
     positions, turned = rng.normal(size=(9, 3)), rng.normal(size=(9, 4))

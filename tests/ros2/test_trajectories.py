@@ -14,9 +14,10 @@ from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.mpc.policy import Policy
+from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.convert import error_message, seconds
-from wbmpc.ros2.settings import Controller, drive_groups
+from wbmpc.ros2.settings import Controller, drive_groups, settings_of
 from wbmpc.ros2.trajectory_client import AHEAD, Trajectories, TrajectorySender
 
 ROBOT = load_robot("swerve-ur10")
@@ -218,3 +219,29 @@ def test_a_stop_leaves_no_joint_beyond_its_range() -> None:
     x[place.start + 2] = upper - 0.01
     sender.stop(x, 0.2, 7.0)
     assert plain(said[1]).points[0].positions[2] == upper
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_an_arm_whose_simulator_has_restarted_is_led_nowhere(back: bool) -> None:
+    """A stop leads an arm to rest at where it was, within 0.2 s; that of a new simulation is far from there. By hand: times of /clock."""
+    clock, led = BusClock(), list[Any]()
+    for t in (10.0, 10.5, *([1.0] * back)):
+        clock.set(t)
+    control = SimpleNamespace(
+        clock=clock, now=clock.stamp, settings=settings_of(ROBOT)(),
+        trajectories=SimpleNamespace(restart=lambda: None, stop=lambda *given: led.append(given)),
+        adapter=SimpleNamespace(snapshot=lambda: (10.4, ROBOT.home)),
+    )  # fmt: skip
+    ControlNode._stop_trajectories(control)  # type: ignore[arg-type]
+    assert bool(led) is not back
+
+
+def test_a_trajectory_of_a_time_that_went_back_says_nothing_of_now() -> None:
+    """A run of the new time that ends before its first trajectory: the arm stands where it is. By hand: 1 rad/s at 1000 s, a stop at 1 s."""
+    said = list[Any]()
+    node: Any = SimpleNamespace(publisher=lambda *_: SimpleNamespace(publish=said.append))
+    arm = Controller(topic="/arm", joints=tuple(ARM), takes="trajectory")
+    sender = TrajectorySender(node, ROBOT, settings_of(ROBOT)(), arm)
+    sender.send(plan(np.ones(6)), 0.0, 1000.0)
+    sender.stop(ROBOT.home, 0.2, 1.0)
+    np.testing.assert_array_equal(said[-1]["points"][-1]["positions"], ROBOT.home[ROBOT.state["arm"]])

@@ -40,11 +40,14 @@ class BusClock:
         self.source = OneSource("/clock")
 
     def set(self, time_of_bus: float, source: Source | None = None) -> None:
-        """The bus's time [s] is now this, says a publisher. Time that goes back is a simulator that was restarted."""
+        """The bus's time [s] is now this, says a publisher. Time that goes back is a simulator that was restarted; a message that another one
+        has overtaken says nothing."""
         if not self.source.takes(source):
             return
         with self._changed:
-            if time_of_bus < self._time - _REORDERED:
+            if self._time - _REORDERED <= time_of_bus < self._time:
+                return
+            if time_of_bus < self._time:
                 self.went_back = True
                 self._ahead += self._time - time_of_bus + _BEFORE
             if self.heard is None or time_of_bus != self._time:

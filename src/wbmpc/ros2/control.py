@@ -21,6 +21,7 @@ from wbmpc.ros2.command_conflicts import LINGERS, CommandConflicts
 from wbmpc.ros2.convert import error_message, seconds
 from wbmpc.ros2.goals import Task
 from wbmpc.ros2.health import Health
+from wbmpc.ros2.hold_ups import HoldUps
 from wbmpc.ros2.interpreter import TURNS, control_priority, real_time_interpreter
 from wbmpc.ros2.localization import POSE_AGE, ExternalPose, PoseSource
 from wbmpc.ros2.obstacles import ObstacleTopics
@@ -53,9 +54,9 @@ class ControlNode:
     """
 
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
-        self.node, self.robot, self.settings = node, robot, settings
-        self.period = 1.0 / settings.rates.control
+        self.node, self.robot, self.settings, self.period = node, robot, settings, 1.0 / settings.rates.control
         self.clock: WallClock | BusClock = WallClock(turns=TURNS)
+        self.hold_ups = HoldUps(lambda: 0.0) if settings.lockstep else HoldUps()
         if settings.lockstep:  # the MPC begins a period after its observation
             self.clock = BusClock(max(settings.mpc.computation_delay - self.period, 0.0))
         elif settings.use_sim_time:
@@ -81,10 +82,9 @@ class ControlNode:
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
-        wall = (
-            (lambda: 0.0) if settings.lockstep else time.monotonic
-        )  # there the bus waits, however slow the machine is
-        self.request_queue = RequestQueue(node, self.adapter.planner, settings, self._plan_origin, steady, wall)
+        self.request_queue = RequestQueue(
+            self.hold_ups, node, self.adapter.planner, settings, self._plan_origin, steady
+        )
         self.base_commands = self.adapter.base_commands(self)
         self.planning = Planning(self.adapter.references)
         self.obstacles = ObstacleTopics(node, self.adapter, settings, steady, self.now, self._plan_origin)
@@ -106,6 +106,7 @@ class ControlNode:
     # ------------------------------------------------------------------ life
     def spin(self, ended: Callable[[], bool]) -> None:
         """Until ``ended()``; then the robot is brought to rest. Garbage is collected when it suits, and young only."""
+        self.hold_ups.begin()
         try:
             with real_time_interpreter() as collect:
                 while not ended():
@@ -117,7 +118,6 @@ class ControlNode:
 
     def step(self) -> None:
         """One look: goals, start and stop, messages."""
-        self.request_queue.look()
         self.node.work()
         self.tuning.update()
         self._supervise()
@@ -140,8 +140,8 @@ class ControlNode:
                 self._limit.log(_LOG, logging.INFO, self.state.split(":")[0], self.state)
 
     def close(self) -> None:
-        moved = self.running
-        if moved:
+        self.hold_ups.end()
+        if moved := self.running:
             self._stop_trajectories()
         self._end_runner()
         if moved:
@@ -269,6 +269,7 @@ class ControlNode:
             why = "the robot has stopped meanwhile"
         if why or seen is None:
             raise InputError(why or "there is no state yet")
+        self.hold_ups.check(planned.came)
         if planned.moving or self.running:  # one that was for a moving robot starts none, whenever it has stopped
             self.set_task(planned.task, planned.references)
         else:
@@ -290,19 +291,19 @@ class ControlNode:
         self.request_queue.running, self.active_task = task, task
 
     def start(self, x: np.ndarray, task: Task, references: References) -> None:
-        self.request_queue.look_away()  # the last run may take long to end
+        settings, adapter, began = self.settings, self.adapter, self.hold_ups.wall()
         self._end_runner()
-        settings, adapter, watchdog = self.settings, self.adapter, self.settings.safety.watchdog
         adapter.begin(x)
         self.external_pose.reset()
         self.obstacles.begin()
         self.set_task(task, references)
         adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         self._follow_sensors()  # what the sensors said meanwhile
+        self.hold_ups.check(began)
         times = RealTimeSettings(
-            settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=watchdog,
-            watchdog=settings.held_up, records=_RECORDS, keep_last_policy=adapter.must_keep_running, priority=control_priority(),
-            offset=MPC_OFFSET * self.period,
+            settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=settings.safety.watchdog,
+            watchdog=settings.held_up, records=_RECORDS, keep_last_policy=adapter.must_keep_running,
+            priority=control_priority(), offset=MPC_OFFSET * self.period,
         )  # fmt: skip
         self.runner = RealTimeRunner(
             self.robot_io, adapter.controller, adapter.mpc, times, self.clock, parameters=adapter.parameters
@@ -385,9 +386,9 @@ class ControlNode:
             self.set_task(task, self.adapter.references(task, seen[1]))
 
     def _stop_trajectories(self) -> None:
-        """Who follows trajectories brakes as the other drives do, once."""
+        """Who follows trajectories brakes as the other drives do, once. A simulated robot that has restarted follows none, and is elsewhere."""
         self.trajectories.restart()
-        if (seen := self.adapter.snapshot()) is not None:
+        if not getattr(self.clock, "went_back", False) and (seen := self.adapter.snapshot()) is not None:
             self.trajectories.stop(seen[1], self.settings.safety.ramp, self.now, self.clock.now() - seen[0])
 
     def _stop_runner(self, message: str) -> None:

@@ -8,7 +8,6 @@ the client's identity and a sequence number. Source: the ROS 2 design articles (
 from __future__ import annotations
 
 import logging
-import os
 import re
 import struct
 import threading
@@ -34,9 +33,10 @@ from wbmpc.ros2.convert import error_message
 from wbmpc.ros2.dds_domain import OPEN, open_domain, return_participant, take_participant
 from wbmpc.ros2.dds_graph import POLICIES, Graph, dds_qos
 from wbmpc.ros2.dds_listener import Take, Watch, silence
-from wbmpc.ros2.dds_source import FilteredTopic, cannot_talk, gets_answers, matched
+from wbmpc.ros2.dds_source import FilteredTopic, cannot_talk, gets_answers, matched, new_identity, taken
 from wbmpc.ros2.dds_writing import LOCAL, DdsPublisher, write
 from wbmpc.ros2.deferred import Deferred, most
+from wbmpc.ros2.in_use import InUse, while_open
 from wbmpc.ros2.messages import request, response, types
 from wbmpc.ros2.mismatch import Mismatches, OwnEndpoint
 from wbmpc.ros2.network import Network
@@ -68,7 +68,7 @@ class DdsNode:
             most = LONGEST_NODE_NAME
             raise InputError(f"node: a name of letters, digits and _ is needed, {most} at most, got '{name[:300]}'")
         self.name, self.network, self.types = name, network, types(network.distribution)
-        self.closed = False
+        self.in_use = InUse(name)
         self._mismatches, self._limit = Mismatches(self), RateLimit()
         self._lock = threading.RLock()
         open_domain(network)
@@ -90,12 +90,17 @@ class DdsNode:
         OPEN.add(self)
         self._announce()
 
+    @property
+    def closed(self) -> bool:
+        return self.in_use.closed
+
     # ------------------------------------------------------------------ topics
     @property
     def faults(self) -> list[str]:
         """Messages about endpoints that do not match."""
         return self._mismatches.messages()
 
+    @while_open
     def publisher(self, topic: str, kind: str, qos: Qos = DEFAULT) -> DdsPublisher:
         """A publisher; messages are complete on the wire when :meth:`DdsPublisher.publish` returns."""
         name = full_name(topic)
@@ -106,6 +111,7 @@ class DdsNode:
         self._own(self._writers, writer)
         return DdsPublisher(writer, self.types, kind, self._where(place), self)
 
+    @while_open
     def subscribe(
         self, topic: str, kind: str, callback: Callable[..., None], qos: Qos = DEFAULT, deferred: bool = False,
         others: tuple[str, ...] = (), largest: int = LARGEST, sourced: bool = False,
@@ -141,7 +147,7 @@ class DdsNode:
 
     def _small(self, name: str, reader: DataReader, largest: int) -> Iterator[tuple[bytes, int]]:
         """What has come with the handles of its writers, but for messages of more than ``largest`` bytes."""
-        for data, source in _taken(reader):
+        for data, source in taken(reader):
             if len(data) <= largest:
                 yield data, source
                 continue
@@ -152,6 +158,7 @@ class DdsNode:
         """Decode the messages of deferred subscriptions and services that have come, and call back, in this thread."""
         self._deferred.work()
 
+    @while_open
     def serve(
         self, service: str, kind: str, answer: Callable[[Any], Mapping[str, Any]], deferred: bool = False,
         rejected: Callable[[str], Mapping[str, Any]] = nothing, definition: tuple[str, str] | None = None,
@@ -161,7 +168,7 @@ class DdsNode:
         if definition is not None:
             self.types.define(kind, definition)
         request_type, response_type = request(kind), response(kind)
-        mark = f"{_SERVER}{_identity()};"
+        mark = f"{_SERVER}{new_identity()};"
         replies = self._topic(f"rr{name}Reply", response_type, _HEADER)
         writer = DataWriter(self._participant, replies, qos=self._qos(DEFAULT, response_type, mark))
 
@@ -186,7 +193,7 @@ class DdsNode:
                 writer.write(replies.data_type(data))
 
         def take(reader: DataReader) -> None:
-            for data, handle in _taken(reader):
+            for data, handle in taken(reader):
                 if len(data) < 4 + _HEADER_SIZE:  # no client could be answered
                     continue
                 heard = partial(gets_answers, writer, reader, handle, _CLIENT)
@@ -206,6 +213,7 @@ class DdsNode:
         come = lambda reader: self._deferred.put(f"clients of {name}", judge, reader)
         self._read(requests, self._qos(DEFAULT, request_type, mark), take, None, come=come)
 
+    @while_open
     def call(self, service: str, kind: str, values: Mapping[str, Any], timeout: float = 5.0) -> Any:
         """Ask a service and wait for its answer [s]. Raises :class:`RunAborted` if none comes, :class:`InputError` in a callback
         that is not deferred: no answer could come."""
@@ -213,7 +221,7 @@ class DdsNode:
         LOCAL.check_waits(f"calls {name}")
         real_number("timeout", timeout)
         request_type, response_type = request(kind), response(kind)
-        mark = f"{_CLIENT}{_identity()};"
+        mark = f"{_CLIENT}{new_identity()};"
         requests, replies = (
             self._topic(f"rq{name}Request", request_type, _HEADER),
             self._topic(f"rr{name}Reply", response_type, _HEADER),
@@ -227,13 +235,13 @@ class DdsNode:
         end = time.monotonic() + timeout
         try:
             while not (matched(writer) and matched(reader)) or cannot_talk(writer, _SERVER):
-                _wait(end, f"{name}: its server {_FOREIGN}" if matched(writer) else f"{name}: no server")
+                self._wait(end, f"{name}: its server {_FOREIGN}" if matched(writer) else f"{name}: no server")
             write(writer, body[:4] + head + body[4:], self._where(requests), self, threading.RLock())
             while True:
-                for data, _ in _taken(reader):
+                for data, _ in taken(reader):
                     if data[4 : 4 + _HEADER_SIZE] == head:
                         return self.types.decode(response_type, data[:4] + data[4 + _HEADER_SIZE :])
-                _wait(end, f"{name}: no answer within {timeout:g} s")
+                self._wait(end, f"{name}: no answer within {timeout:g} s")
         finally:
             with self._lock:
                 self._writers.remove(writer)
@@ -246,14 +254,17 @@ class DdsNode:
         ParameterServices(self, self.name, parameters)
 
     # ------------------------------------------------------------------ graph
+    @while_open
     def publishers(self, topic: str, within: float = 0.0) -> list[Endpoint]:
         """Everybody's publishers of a topic, this node's too, and those that have left at most ``within`` [s] ago."""
         return self._graph.publishers(topic, within)
 
+    @while_open
     def subscribers(self, topic: str) -> list[Endpoint]:
         """Everybody's subscriptions of a topic, this node's too."""
         return self._graph.subscribers(topic)
 
+    @while_open
     def owner(self, endpoint: Endpoint) -> str:
         """The name of an endpoint's node, as that has announced it; empty if it has not within :data:`_ANNOUNCED`, the first time
         :data:`_EARLIER`."""
@@ -265,11 +276,12 @@ class DdsNode:
             self._names = {}, DataReader(self._participant, topic, qos=self._qos(Qos(latched=True, depth=100), _INFO))
         names, reader = self._names
         while True:
-            for data, _ in _taken(reader):
+            for data, _ in taken(reader):
                 with suppress(InputError):  # what cannot be read names nobody
                     for node in self.types.decode(_INFO, data).node_entities_info_seq:
                         for gid in (*node.reader_gid_seq, *node.writer_gid_seq):
                             names[bytes(gid.data)[:16]] = node.node_name
+            self.in_use.check()
             if endpoint.who in names or time.monotonic() > end:
                 return names.get(endpoint.who, "")
             time.sleep(0.01)
@@ -289,11 +301,9 @@ class DdsNode:
     def close(self) -> None:
         """Leave the bus. Callbacks have ended when this returns. Raises :class:`InputError` in a callback that is not deferred."""
         LOCAL.check_waits(f"closes node '{self.name}'")
-        with self._lock:
-            if self.closed:
-                return
-            self.closed = True
         self._mismatches.close()
+        if not self.in_use.close():
+            return
         with self._lock:
             entities = [*self._readers, *self._writers]
             self._readers, self._writers = [], []
@@ -342,14 +352,15 @@ class DdsNode:
 
     def _end(self, reader: DataReader) -> None:
         LOCAL.check_waits("ends a subscription")
-        with self._lock:
-            if reader not in self._readers:
-                return
-            self._readers.remove(reader)
-        silence(reader)  # without the lock: it waits for callbacks
-        reader.__del__()
-        self._unregister.pop(reader, lambda: None)()
-        self._announce()
+        with suppress(RunAborted), self.in_use.hold():
+            with self._lock:
+                if reader not in self._readers:
+                    return
+                self._readers.remove(reader)
+            silence(reader)  # without the lock: it waits for callbacks
+            reader.__del__()
+            self._unregister.pop(reader, lambda: None)()
+            self._announce()
 
     def _own(self, group: list[Any], entity: Any) -> None:
         with self._lock:
@@ -379,20 +390,8 @@ class DdsNode:
     def _mismatch(self, ours: OwnEndpoint, policy: int) -> None:
         self._mismatches.notice(ours, POLICIES.get(policy, f"policy {policy}"))
 
-
-def _taken(reader: DataReader) -> list[tuple[bytes, int]]:
-    """The CDR of all samples that have come, with the handles of their writers; none of those that only say that a writer has gone."""
-    with suppress(DDSException):
-        taken = reader.take(N=64)
-        return [(s.data, s.sample_info.publication_handle) for s in taken if getattr(s, "data", None)]
-    return []
-
-
-def _identity() -> str:
-    return ".".join(f"{b:x}" for b in os.urandom(16))
-
-
-def _wait(end: float, message: str) -> None:
-    if time.monotonic() > end:
-        raise RunAborted(message)
-    time.sleep(0.002)
+    def _wait(self, end: float, message: str) -> None:
+        self.in_use.check()
+        if time.monotonic() > end:
+            raise RunAborted(message)
+        time.sleep(0.002)

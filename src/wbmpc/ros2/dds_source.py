@@ -7,6 +7,7 @@ history and does not wake Python. It is a filter of the topic by the sample's de
 from __future__ import annotations
 
 import ctypes
+import os
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -77,6 +78,19 @@ def matched(entity: DataReader | DataWriter) -> list[int]:
     found = (ctypes.c_uint64 * _MATCHED)()
     count = _peers[type(entity)](ctypes.c_int32(entity._ref), found, ctypes.c_size_t(_MATCHED))
     return list(found[: min(max(count, 0), _MATCHED)])  # below 0: the entity is gone itself
+
+
+def taken(reader: DataReader) -> list[tuple[bytes, int]]:
+    """The CDR of all samples that have come, with the handles of their writers; none of those that only say that a writer has gone."""
+    with suppress(DDSException):
+        samples = reader.take(N=64)
+        return [(s.data, s.sample_info.publication_handle) for s in samples if getattr(s, "data", None)]
+    return []
+
+
+def new_identity() -> str:
+    """Of a service's client or server."""
+    return ".".join(f"{b:x}" for b in os.urandom(16))
 
 
 def cannot_talk(entity: DataReader | DataWriter, mark: str) -> bool:

@@ -46,8 +46,9 @@ class ExternalPose:
             seen = adapter.snapshot()
             if seen is not None:
                 self._gate.note(seen[0], planar(*adapter.planner.base_pose(seen[1])))
-        # a robot that would fall goes on without poses
-        taken = control.source.newest() if adapter.must_keep_running else control.source.take()
+        # a robot that would fall goes on without poses, and the odometry of one that stands does
+        goes_on = adapter.must_keep_running or (not control.running and np.isfinite(control.source.at))
+        taken = control.source.newest() if goes_on else control.source.take()
         if taken is None:
             return None
         pose = control.clock.now() - taken[0], *taken[1:]
@@ -90,6 +91,7 @@ class PoseSource:
     def __init__(self, node: Node, settings: RosSettings, now: Time, stamp: Time) -> None:
         self.node, self.settings, self.now, self.stamp = node, settings, now, stamp
         self.at, self.jumped, self._wrong = -np.inf, "", ""
+        self._stamped: float | None = None  # stamp [s] of the last one
         self._limit = RateLimit()
         self._good = -np.inf  # when the last one that counted came
         self._fix: tuple[float, Array, Array] | None = None  # of when [s of ``now()``]
@@ -165,7 +167,11 @@ class PoseSource:
             raise InputError(
                 f"{topic}: the covariance is 0 in a direction, but not in all; valid: full rank, or 0 (exact)"
             )
-        self.at, age = self.now(), self.stamp() - seconds(message.header.stamp)
+        stamp, before = seconds(message.header.stamp), self._stamped
+        self._stamped = stamp
+        if stamp == before != 0.0:  # the same once more: no second measurement, and none of now
+            return
+        self.at, age = self.now(), self.stamp() - stamp
         # a stamp of another machine's clock, or none, says nothing: the pose is then of now
         self._fix = self.at - (age if 0.0 <= age < POSE_AGE else 0.0), pose, covariance
 

@@ -18,11 +18,13 @@ PROMPT = 0.01
 
 @dataclass(frozen=True)
 class Planned:
-    """``moving``: whether the robot was commanded when the goal was taken."""
+    """``moving``: whether the robot was commanded when the goal was taken, which ``came`` at a time [s] of
+    :class:`~wbmpc.ros2.hold_ups.HoldUps`."""
 
     task: Task
     references: References
     moving: bool
+    came: float
 
 
 class Planning:
@@ -38,7 +40,7 @@ class Planning:
 
         def plan() -> Planned:
             task = request(x, t)
-            return Planned(task, self._prepare(task, x), moving)
+            return Planned(task, self._prepare(task, x), moving, request.came)
 
         self._job = self._pool.submit(plan)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,46 +18,52 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, planar_path, read_pose, read_poses, read_vector, seconds
 from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track
+from wbmpc.ros2.hold_ups import HoldUps
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 
 _LOG = logging.getLogger("wbmpc")
-#: (state (nx), time of the plan [s]) -> what is to be done from then on.
-Request = Callable[[Array, float], Task]
 Time = Callable[[], float]
 #: More points than this are a mistake.
 _MAX_POINTS = 20_000
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 #: A path begins within this time [s], or its stamps are of another clock.
 _LATEST = 60.0
-#: So long [s] after a process that was held up goes on messages that waited come.
-_WAITED = 0.1
-#: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
-_OLD = 1.0
 #: So far [m] under the floor or over the base's own height a goal of the base is still one: localizations in space are not exact.
 _OFF_FLOOR = 0.5
+
+
+@dataclass(frozen=True)
+class Request:
+    """``make`` of the state (nx) and the plan's time [s] says what is to be done from then on. It ``came`` at a time [s] of
+    :class:`HoldUps`; what brings a base to rest is never too old."""
+
+    make: Callable[[Array, float], Task]
+    came: float = np.inf
+
+    def __call__(self, x: Array, t: float) -> Task:
+        return self.make(x, t)
 
 
 class RequestQueue:
     """Listens to goals; the newest one counts, but paths of base and end effector go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
-    ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out; ``wall()`` [s]: by which a process was
-    held up. ``running``: the task in force, set by who takes them up.
+    ``hold_ups`` of the process; ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out.
+    ``running``: the task in force, set by who takes them up.
     """
 
     def __init__(
-        self, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time, wall: Time = time.monotonic
+        self, hold_ups: HoldUps, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time
     ) -> None:  # fmt: skip
         self.node, self.planner, self.settings = node, planner, settings
-        self.origin, self.now, self.wall = origin, now, wall
+        self.origin, self.now, self.hold_ups = origin, now, hold_ups
         self.rejected = self._limited = ""
         self.running: Task | None = None
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
         self._twist_at = self._spoken_at = -np.inf  # when the last speed that counted came, and the last one of all
-        self._looked, self._fresh_from, self._held = np.inf, -np.inf, 0.0
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
@@ -76,32 +82,21 @@ class RequestQueue:
                 )  # fmt: skip
 
     # ------------------------------------------------------------------ taken up
-    def look(self) -> None:
-        """To be called at every step: messages that come while it is not are not of now."""
-        now = self.wall()
-        if now - self._looked > _WAITED:
-            self._held, self._fresh_from = self._waited(), now + _WAITED
-        self._looked = now
-
-    def look_away(self) -> None:
-        """What the node does now may take long, and is no reason to miss messages; until the next :meth:`look`."""
-        self._looked = np.inf
-
-    def _waited(self) -> float:
-        """For how long [s] a message that comes now may have waited."""
-        now = self.wall()
-        return max(now - self._looked, self._held if now < self._fresh_from else 0.0)
-
-    def too_old(self, what: str) -> str:
-        """Why ``what`` has just come and is no goal; empty if it is one."""
-        return f"{what} is not of now: it came while the node was held up" if self._waited() > _OLD else ""
-
     def take(self) -> Request | None:
-        """The newest request, once."""
+        """The newest request, once. One that waited in a process that was held up is rejected."""
         if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
             self._slow_down()
-        with self._lock:
-            return self._requests.pop(next(iter(self._requests))) if self._requests else None
+        while True:
+            with self._lock:
+                if not self._requests:
+                    return None
+                request = self._requests.pop(next(iter(self._requests)))
+            try:
+                self.hold_ups.check(request.came)
+            except InputError as error:
+                self.reject(f"a goal is rejected: {error}")
+            else:
+                return request
 
     def stop(self) -> None:
         """The robot has stopped: what waits is rejected, and a stream of speeds that goes on is no new goal: it counts again after
@@ -131,7 +126,7 @@ class RequestQueue:
                     raise InputError(
                         f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
                     )
-        if self._waited() > self.settings.safety.cmd_vel:
+        if self.hold_ups.waited() > self.settings.safety.cmd_vel:
             raise InputError("the wrench is not of now: it came while the node was held up")
         self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
 
@@ -162,11 +157,11 @@ class RequestQueue:
         except Exception as error:
             self.reject(f"{topic}: {error_message(error)}")
 
-    def _put_goal(self, request: Request, kind: str = "") -> None:
+    def _put_goal(self, make: Callable[[Array, float], Task], kind: str = "") -> None:
         """As :meth:`_put`. Raises :class:`InputError` for a goal that waited too long."""
-        if why := self.too_old("the goal"):
+        if why := self.hold_ups.too_old("the goal"):
             raise InputError(why)
-        self._put(request, kind)
+        self._put(Request(make, self.hold_ups.wall()), kind)
 
     def _put(self, request: Request, kind: str = "") -> None:
         """``kind`` of paths: a path replaces what waits but for the other kind of path."""
@@ -221,7 +216,7 @@ class RequestQueue:
         over = float(np.max(np.abs(target) / self._fastest))
         previous, self._spoken_at = self._spoken_at, self.now()
         pause = self.settings.safety.cmd_vel
-        if np.any(target) and self._waited() > pause:
+        if np.any(target) and self.hold_ups.waited() > pause:
             raise InputError("the speed is not of now: it came while the node was held up")
         self._latched = self._latched and bool(np.any(target)) and self._spoken_at - previous <= pause
         if self._latched:
@@ -234,7 +229,7 @@ class RequestQueue:
             self._slow_down()
 
     def _put_speed(self, twist: Array) -> None:
-        self._put(lambda x, t: self.planner.drive(x, t, twist, self.running))
+        self._put(Request(lambda x, t: self.planner.drive(x, t, twist, self.running), self.hold_ups.wall()))
         self._moving = True
 
     def _limit(self, target: Array | None) -> None:
@@ -250,7 +245,7 @@ class RequestQueue:
             self._limited_log.log(_LOG, logging.WARNING, "limited", self._limited)
 
     def _slow_down(self) -> None:
-        self._put(lambda x, t: self.planner.slow_down(x, t, self.running))
+        self._put(Request(lambda x, t: self.planner.slow_down(x, t, self.running)))
 
     # ------------------------------------------------------------------ parts
     def _frame(self, header: Any) -> str:

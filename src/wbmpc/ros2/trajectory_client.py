@@ -107,8 +107,8 @@ class TrajectorySender:
 
     def _followed(self, now: float, age: float) -> tuple[np.ndarray, np.ndarray]:
         """Rates (n) [rad/s] at which the last trajectory has the joints by now, and how far [rad] it has led them in the last ``age`` [s]:
-        what came before it went on as it begins."""
-        if self._sent is None:
+        what came before it went on as it begins; of a time that went back nothing is known."""
+        if self._sent is None or now < self._sent[0]:
             return np.zeros(len(self._places)), np.zeros(len(self._places))
         at, times, rates = self._sent
         until = now - at

@@ -23,14 +23,17 @@ class LegControl(BaseCommands):
 
     def __init__(self, control: ControlNode, adapter: SwerveRosAdapter) -> None:
         self.control, self.adapter = control, adapter
+        self._came = np.inf  # when [s] the last command came
+        self._changed = False  # where legs are to go, since the goal was taken that is being planned
         self.commands = Legs(control.node, adapter.robot, adapter.settings, self._rejection_reason, self._state)
 
     def _rejection_reason(self) -> str:
         """Why a command that comes now cannot move legs; empty if it can."""
         control = self.control
-        if why := control.request_queue.too_old("the command"):
-            return why
-        return "" if control.running else control.waiting_reason()
+        why = control.hold_ups.too_old("the command") or ("" if control.running else control.waiting_reason())
+        if not why:
+            self._came = control.hold_ups.wall()
+        return why
 
     def _brake_time(self) -> float:
         """Time [s] from which on brakes can still be scheduled."""
@@ -49,16 +52,21 @@ class LegControl(BaseCommands):
         return brakes.commanded(self._brake_time() if control.running else 0.0), self._legs(seen[1])
 
     def update(self) -> None:
-        """Take in what has come. The first command starts a robot that stands, and its base stays where it is."""
+        """Take in what has come. The first command starts a robot that stands, and its base stays where it is. While a goal is planned commands
+        wait, but legs that arrive do not."""
         control, commands = self.control, self.commands
-        if not (commands.waiting or control.running) or control.planning.busy or control.stopping:
+        waits = commands.waiting and not control.planning.busy
+        if not (waits or control.running) or control.stopping:
             return
         seen = self.adapter.snapshot()
         if seen is None:
             return
         try:
+            if waits:
+                control.hold_ups.check(self._came)
             self.start_or_apply(seen[1])
         except Exception as error:
+            control.request_queue.running = control.request_queue.running if control.running else None
             commands.drop()
             commands.reject(f"a command for the legs is rejected: {error_message(error)}")
 
@@ -66,22 +74,24 @@ class LegControl(BaseCommands):
         """At the state x (nx): start the run if there is none; then brakes, leg targets and references as commanded."""
         control, adapter, commands = self.control, self.adapter, self.commands
         if not control.running:
-            if not commands.waiting:  # it has stopped just now
+            if not commands.waiting or control.planning.busy:  # it has stopped just now
                 return
             task = adapter.planner.hold(x, 0.0)
             control.start(x, task, adapter.references(task, x))
         assert adapter.brakes is not None
-        leg, t = self._legs(x), self._brake_time()
-        if commands.apply(adapter.brakes, t, leg):
+        leg, t, busy = self._legs(x), self._brake_time(), control.planning.busy
+        changed = self._changed and not busy  # the plan's references are of before
+        if not busy and commands.apply(adapter.brakes, t, leg):
             assert commands.angles is not None
             adapter.swing(commands.angles)
-            self._follow_targets(x)
-        if commands.watch(adapter.brakes, t, leg):
+            changed = True
+        if commands.watch(adapter.brakes, t, leg) or changed:
             self._follow_targets(x)
 
     def _follow_targets(self, x: np.ndarray) -> None:
         """The active task, with the legs where they are to go now."""
         control, adapter = self.control, self.adapter
+        self._changed = control.planning.busy
         adapter.legs = self.commands.aims
         assert control.active_task is not None
         control.set_task(control.active_task, adapter.references(control.active_task, x))

@@ -1,0 +1,69 @@
+"""Whether the process was held up as a whole, and what has waited meanwhile."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from wbmpc.errors import InputError
+
+#: How often [s] a thread looks.
+BEAT = 0.02
+#: Looks farther apart than this [s] are a hold-up; so long after one messages that waited come.
+WAITED = 0.1
+#: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
+OLD = 1.0
+
+
+class HoldUps:
+    """Looks at the time ``wall()`` [s] in a thread of its own, between :meth:`begin` and :meth:`end`: work of other threads that takes long
+    is no hold-up, for messages come meanwhile. On a bus that waits ``wall`` stands still."""
+
+    def __init__(self, wall: Callable[[], float] = time.monotonic) -> None:
+        self.wall = wall
+        self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
+        self._held, self._fresh_from = 0.0, -np.inf
+        self._ended = threading.Event()
+
+    def begin(self) -> None:
+        """Look from now on."""
+        self.look()
+        threading.Thread(target=self._beat, name="hold-ups", daemon=True).start()
+
+    def end(self) -> None:
+        """Look no more."""
+        self._ended.set()
+
+    def _beat(self) -> None:
+        while not self._ended.wait(BEAT):
+            self.look()
+
+    def look(self) -> None:
+        """Messages that have come since the last look may be of any time since then, if that was long ago."""
+        now = self.wall()
+        if now - self._looked > WAITED:
+            self._held, self._fresh_from = self.waited(), now + WAITED
+        if now - self._looked > OLD:
+            self._over = now
+        self._looked = now
+
+    def waited(self) -> float:
+        """For how long [s] a message that comes now may have waited."""
+        now = self.wall()
+        return max(now - self._looked, self._held if now < self._fresh_from else 0.0)
+
+    def since(self, time: float) -> bool:
+        """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""
+        return time <= self._over or (time <= self._looked and self.wall() - self._looked > OLD)
+
+    def too_old(self, what: str) -> str:
+        """Why ``what`` has just come and does not count; empty if it does."""
+        return f"{what} is not of now: it came while the node was held up" if self.waited() > OLD else ""
+
+    def check(self, came: float) -> None:
+        """Raise :class:`InputError` if what came at a time [s], and has not begun, does not count any more."""
+        if self.since(came):
+            raise InputError("it is from before the node was held up")
