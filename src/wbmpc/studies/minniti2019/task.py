@@ -16,7 +16,6 @@ from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
-from wbmpc.bases.ball.truth_record import TruthRecord
 from wbmpc.bases.base import System
 from wbmpc.checks import whole
 from wbmpc.errors import InputError
@@ -33,6 +32,7 @@ from wbmpc.studies.minniti2019.controller_parts import MpcDisturbance, NoisyTrut
 from wbmpc.studies.minniti2019.controller_settings import ControllerSettings, Planner, PlanningController, WholeBodyMpc
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
 from wbmpc.studies.minniti2019.settings import ControlledSettings, RezeroSettings
+from wbmpc.studies.minniti2019.truth_record import TruthRecord
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.types import Timing
 from wbmpc.units import force_unit

@@ -11,7 +11,7 @@ from wbmpc import lie
 from wbmpc.bases.base import System
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
@@ -19,6 +19,7 @@ from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
+from wbmpc.studies.pankert2022.driving import closed_brakes
 from wbmpc.studies.pankert2022.metrics import in_frame, rotation_about_z
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.standing import stand_still
