@@ -69,12 +69,9 @@ class DrivingSettings(Settings):
         """The source of global poses for one plant; None: it has none."""
         return self.localization.source(seed) if isinstance(self.localization, LidarPoses) else None
 
-    def estimation(self, robot: RobotModel, seed: int, smoothing: float = 0.0) -> EstimatorSettings:
-        """What the estimator of a controller is made of, MPC or not; may drive for the calibration first. ``smoothing`` [s]: see
-        :class:`EstimatorSettings`."""
-        return EstimatorSettings(
-            self._wheels(robot, seed), self._arm_offset(robot, seed), use_gyro=self.use_gyro, smoothing=smoothing
-        )
+    def estimation(self, robot: RobotModel, seed: int) -> EstimatorSettings:
+        """What the estimator of a controller is made of, MPC or not; may drive for the calibration first."""
+        return EstimatorSettings(self._wheels(robot, seed), self._arm_offset(robot, seed), use_gyro=self.use_gyro)
 
     def _wheels(self, robot: RobotModel, seed: int) -> WheelCalibration:
         """What is known of the wheels."""
