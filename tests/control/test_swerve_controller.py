@@ -18,6 +18,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import aligned_steering
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.studies.pankert2022.side_slip import FlipController
 from wbmpc.studies.pankert2022.track_control import TrackController, TrackEstimation, TrackTracking
 from wbmpc.types import GlobalPose
 
@@ -57,12 +58,8 @@ def test_swerve_prediction_integrates_what_will_be_commanded(open_brakes: bool) 
 def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_side_slip: bool) -> None:
     """Three wheels roll 1 cm straight ahead, the fourth stands across. Truth: the base has come 1 cm."""
     trusting = EstimatorSettings(use_gyro=False, reject_slipping_wheels=False)
-    geometry, controller = (
-        SWERVE.base.geometry,
-        SwerveController(
-            SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(allow_side_slip=allow_side_slip), estimation=trusting
-        ),
-    )
+    kind = FlipController if allow_side_slip else SwerveController
+    geometry, controller = SWERVE.base.geometry, kind(SWERVE, np.zeros(3), PERIOD, estimation=trusting)
     u, plans, across = np.zeros(SWERVE.input.size), PolicyQueue(), np.array([0.5 * np.pi, 0.0, 0.0, 0.0])
     u[SWERVE.input["base"]] = [0.4, 0.0, 0.0]
     steer = -geometry.wheel_heading + across

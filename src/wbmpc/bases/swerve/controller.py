@@ -53,7 +53,7 @@ class SwerveController:
         # the model has one radius for all wheels
         self.wheel_scale = geometry.wheel_radius / wheels.wheel_radius
         self.tracking = law = self.Tracking(robot, period, tracking or TrackingSettings(), self.wheel_scale)
-        self.estimator = self.Estimator(robot, pose, estimation, law.drives, law.arm, law.side_slip)
+        self.estimator = self.Estimator(robot, pose, estimation, law.drives, law.arm)
         self.supervision = BrakeSupervision(robot, period, brakes, supervision or SupervisionSettings())
 
     @property

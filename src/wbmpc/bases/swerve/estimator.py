@@ -19,32 +19,6 @@ from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import RobotModel
-from wbmpc.model.wheels import wheel_velocities
-
-#: Sideways speed [m/s] at which a wheel slips; for how long [s] after it the wheel does (drives lag).
-SLIPS_AT, SLIPS_FOR = 0.02, 0.1
-
-
-class SideSlip:
-    """Which wheels slip sideways, under a plan with flips (:meth:`update`) or where a controller says so (:meth:`announce`), one of them
-    every ``period`` [s]: ``left`` (n) [s], for how long each still does."""
-
-    def __init__(self, robot: RobotModel, period: float) -> None:
-        self._geometry, self._input, self._period = swerve_base(robot).geometry, robot.input, period
-        self.left = np.zeros(swerve_base(robot).geometry.modules)
-
-    def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
-        """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""
-        geometry, inputs = self._geometry, self._input
-        v = wheel_velocities(geometry, leg, u[inputs["base"]], u[inputs["leg"]] if "leg" in inputs else 0.0)
-        heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
-        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
-        self.announce(side)
-
-    def announce(self, side: np.ndarray) -> None:
-        """Wheels (n) that slip sideways at ``side`` (n) [m/s] for a period."""
-        self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))
-
 
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
@@ -78,15 +52,14 @@ class SwerveEstimator:
     """State of a swerve robot that starts at ``pose`` (x, y, yaw). While it stands, the gyro's bias is found.
 
     ``odometry`` of wheels and gyro; ``wheels_alone``: of the wheels. ``drives`` and ``arm_drives`` say how base and arm move between
-    messages, ``side_slip`` which wheels a plan lets slip (None: none).
+    messages.
     """
 
     def __init__(
-        self, robot: RobotModel, pose: Array, settings: EstimatorSettings, drives: DriveModel, arm_drives: ArmDrives,
-        side_slip: SideSlip | None = None,
-    ) -> None:  # fmt: skip
+        self, robot: RobotModel, pose: Array, settings: EstimatorSettings, drives: DriveModel, arm_drives: ArmDrives
+    ) -> None:
         self.robot, self.use_gyro = robot, settings.use_gyro
-        self._drives, self._arm_drives, self._side_slip = drives, arm_drives, side_slip
+        self._drives, self._arm_drives = drives, arm_drives
         geometry = swerve_base(robot).geometry
         wheels = self.calibration = settings.calibration or WheelCalibration.unknown(geometry)
         self._known = known_weights(wheels)
@@ -126,10 +99,14 @@ class SwerveEstimator:
         """The gyro's mean yaw rate [rad/s] from one message to the next, h [s] later; None if it says nothing."""
         return 0.5 * float(previous.gyro[2] + now.gyro[2])
 
+    def slipping(self) -> NDArray[np.bool_] | None:
+        """Wheels (n) that are known to slip, as a plan lets them; None: none."""
+        return None
+
     def _wheel_weights(self, h: float, leg: Array, turning: float | None) -> Array | None:
         """Weights (n) of the wheels in the odometry over h [s] to a message; None: all count in full. ``leg`` (n) [rad], ``turning``
         [rad/s] of the gyro."""
-        known = None if self._side_slip is None else self._side_slip.left > 0.0
+        known = self.slipping()
         odd, inertial = self._odd, self._inertial
         if odd is None or inertial is None:
             return self._weights()
@@ -154,9 +131,8 @@ class SwerveEstimator:
 
     def _weights(self) -> Array | None:
         """The same where there is no accelerometer."""
-        known = [False] * swerve_base(self.robot).geometry.modules
-        if self._side_slip is not None:
-            known = [left > 0.0 for left in self._side_slip.left.tolist()]
+        slipping = self.slipping()
+        known = [False] * swerve_base(self.robot).geometry.modules if slipping is None else slipping.tolist()
         odd = known
         if self._odd is not None:
             odd = [k or left > 0.0 for k, left in zip(known, self._odd.odd.tolist(), strict=True)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.drives import ArmDrives, DriveModel
-from wbmpc.bases.swerve.estimator import SideSlip, SwerveEstimator
+from wbmpc.bases.swerve.estimator import SwerveEstimator
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import integrate, predict, simulate_drives, track
@@ -28,13 +28,11 @@ ALIGN_GAIN = 15.0
 @dataclass(frozen=True)
 class TrackingSettings:
     """``lag`` [s] of the drives, first order: the plan leads the measured state by it; ``steer_gain`` [1/s] of the steering servo;
-    ``planned_steering``: whether plans start from their own steering angles instead of the measured ones; ``allow_side_slip``: plans
-    let wheels slip sideways while they turn about, and the odometry gives little weight to those."""
+    ``planned_steering``: whether plans start from their own steering angles instead of the measured ones."""
 
     lag: float = 0.0
     steer_gain: float = 5.0
     planned_steering: bool = True
-    allow_side_slip: bool = False
 
     def __post_init__(self) -> None:
         not_negative("swerve robot's tracking", steer_gain=self.steer_gain, lag=self.lag)
@@ -53,7 +51,6 @@ class SwerveTracking:
         self.robot, self.period, self.settings = robot, period, settings
         self.drives = DriveModel(robot, period, settings.lag, settings.planned_steering)
         self.arm = ArmDrives(len(robot.input.groups["arm"]), period, settings.lag)
-        self.side_slip = SideSlip(robot, period) if settings.allow_side_slip else None
         self.clamped = self.aligning = False
         self._arrays = self._memory(wheel_scale)
         self._bind()
@@ -117,8 +114,6 @@ class SwerveTracking:
         a["planned"][:] = x[self.robot.state["steer"]]
         a["measured"][:], a["brake"][: brake.size] = estimator.steer, brake
         self.aligning, self.clamped = self._track(self.aligning)
-        if self.side_slip is not None:
-            self.side_slip.update(estimator.hinge_angles, a["planned"].copy(), a["u"])
         legs = a["leg_rates"].copy() if "leg" in inputs else np.zeros(0)
         wheel, steer = self.driven("wheel", a["wheels"]), self.driven("steer", a["sent"][inputs["steer"]])
         return SwerveCommand(wheel, steer, self.arm.command.copy(), brake), legs
