@@ -31,6 +31,7 @@ from wbmpc.studies.minniti2019.baselines import Parts, make_controller
 from wbmpc.studies.minniti2019.controller_parts import MpcDisturbance, NoisyTruth, PushFilter
 from wbmpc.studies.minniti2019.controller_settings import ControllerSettings, Planner, PlanningController, WholeBodyMpc
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
+from wbmpc.studies.minniti2019.servo_plant import ServoPlant
 from wbmpc.studies.minniti2019.settings import ControlledSettings, RezeroSettings
 from wbmpc.studies.minniti2019.truth_record import TruthRecord
 from wbmpc.tasks.joint_figures import JointRecord
@@ -160,7 +161,7 @@ def ball_system(
     mpc.reference["end_effector"] = Reference.poses([0.0], position, quaternion)
     for term, reference in references.items():
         mpc.reference[term] = reference
-    plant = BallPlant(robot.description, home, torque, settings.perturbation, seed, payload=settings.payload)
+    plant = ServoPlant(robot.description, home, torque, settings.perturbation, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     parts = Parts(robot, mpc, torque, timing.period, estimator_of(chosen, robot, home), arm)
     controller, planner = make_controller(settings, chosen, parts)
