@@ -53,7 +53,7 @@ class SlipEstimator(SwerveEstimator):
 
 
 class SlipController(SwerveController):
-    """Its estimator is told which wheels slip."""
+    """Its estimator knows which wheels slip."""
 
     Estimator = SlipEstimator
     estimator: SlipEstimator
@@ -64,7 +64,7 @@ class SlipController(SwerveController):
 
 
 class FlipTracking(SwerveTracking):
-    """Tells which wheels a plan lets slip."""
+    """The law that reports to the estimator which wheels a plan lets slip."""
 
     def command(
         self, t: float, policy: Policy, estimator: SwerveEstimator, brake: Array
