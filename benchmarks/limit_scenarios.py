@@ -28,7 +28,7 @@ from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings
-from wbmpc.tasks.paths import SinePath
+from wbmpc.studies.paths import SinePath
 from wbmpc.types import Timing
 
 Array = np.ndarray

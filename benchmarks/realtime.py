@@ -42,7 +42,7 @@ from wbmpc.runtime.shared_memory import Sizes
 from wbmpc.settings import MpcSettings
 from wbmpc.studies.minniti2019.settings import RezeroSettings
 from wbmpc.studies.minniti2019.step_goals import STEPS, target
-from wbmpc.tasks.paths import SinePath
+from wbmpc.studies.paths import SinePath
 from wbmpc.view.physics import Simulated
 
 SETTLE, HOLD = 5.0, 5.0

@@ -29,7 +29,7 @@ from wbmpc.studies.minniti2019.step_figures import progress_of, rise_time
 from wbmpc.studies.minniti2019.step_goals import STEADY, STEPS
 from wbmpc.studies.minniti2019.steps import RezeroStepsSettings, Schedule
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION, PERIOD_LENGTH, SwerveTrackSettings
-from wbmpc.tasks.paths import SinePath
+from wbmpc.studies.paths import SinePath
 
 #: Offsets of the end effector's path [m], as in the experiment; a path begins this long after it was sent [s].
 AHEAD, SIDE, HEIGHT, LEAD = 0.30, 0.65, 0.80, 2.0

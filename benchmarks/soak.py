@@ -25,7 +25,7 @@ from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, Reference
 from wbmpc.ocp.residuals import FramePose, Input
 from wbmpc.ocp.sets import Box
 from wbmpc.settings import MpcSettings
-from wbmpc.tasks.paths import SinePath
+from wbmpc.studies.paths import SinePath
 from wbmpc.types import Observation
 
 #: Between two solves [s]; the spread of what the state is off its plan.

@@ -54,13 +54,6 @@ def metrics_of_interest(names: Sequence[str], judged: Mapping[str, str]) -> list
     return list(dict.fromkeys(judged if any(unit not in ("", "1") for unit in judged.values()) else names))
 
 
-def no_comparison(goal: float | None = None) -> Metric:
-    """The ratio to a baseline that fell or ended early: no number, so that its ``goal`` does not count as reached."""
-    return Metric(
-        float("nan"), "1", goal=goal, goal_note="the baseline did not get to the end, there is nothing to compare with"
-    )
-
-
 @dataclass(frozen=True)
 class MpcStatistics:
     """Rate [Hz], solve times [ms] (median, p95, max) and how many took longer than the period.

@@ -15,13 +15,13 @@ from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.drives import DryFriction, Smoothing
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import InputError
 from wbmpc.studies.minniti2019.lqr import LqrWeights, RegulatorGains
 from wbmpc.studies.minniti2019.separate import ArmLoop, EndEffectorInverse
 from wbmpc.studies.minniti2019.taskspace_control import TaskGains
 from wbmpc.studies.minniti2019.tracking_control import ActuatorGains
+from wbmpc.studies.pankert2022.track_control import DryFriction, Smoothing
 
 BALL, SWERVE, NAN = robot("rezero"), robot("swerve-ur10"), float("nan")
 ARM, WEIGHTS = BALL.home[5:8], LqrWeights(np.ones(6), np.ones(6), np.ones(16), np.ones(6))

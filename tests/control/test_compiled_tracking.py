@@ -10,8 +10,8 @@ import pytest
 from toys import made, robot
 from wbmpc import lie
 from wbmpc.bases.swerve.messages import SwerveMeasurement
-from wbmpc.bases.swerve.tracking import SwerveTracking, TrackingSettings
 from wbmpc.mpc.policy import Policy
+from wbmpc.studies.pankert2022.track_control import FrictionTracking, TrackTracking
 
 ROBOT = robot("swerve-ur10")
 NU, NX, PERIOD = ROBOT.input.size, ROBOT.state.size, 0.0025
@@ -22,12 +22,12 @@ def policy(rng: np.random.Generator, scale: float) -> Policy:
     return Policy(np.linspace(0.0, 1.0, 9), x, u, np.zeros((8, NU, NX)))
 
 
-def laws(planned: bool) -> list[SwerveTracking]:
+def laws(planned: bool) -> list[FrictionTracking]:
     settings, scale = (
-        TrackingSettings(lag=0.02, friction=True, planned_steering=planned),
+        TrackTracking(lag=0.02, friction=True, planned_steering=planned),
         np.array([1.0, 1.01, 0.99, 1.0]),
     )
-    return [made(b, SwerveTracking, ROBOT, PERIOD, settings, scale) for b in ("compiled", "interpreted")]
+    return [made(b, FrictionTracking, ROBOT, PERIOD, settings, scale) for b in ("compiled", "interpreted")]
 
 
 @pytest.mark.parametrize("planned", [True, False])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from toys import made
-from wbmpc.bases.swerve.drives import LEARNED_IN, MAXIMUM, DryFriction, Smoothing
+from wbmpc.studies.pankert2022.track_control import LEARNED_IN, MAXIMUM, DryFriction, Smoothing
 
 PERIOD, LAG = 0.0025, 0.02
 

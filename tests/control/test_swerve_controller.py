@@ -18,6 +18,8 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import aligned_steering
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.studies.pankert2022.side_slip import FlipController
+from wbmpc.studies.pankert2022.track_control import TrackController, TrackEstimation, TrackTracking
 from wbmpc.types import GlobalPose
 
 
@@ -56,12 +58,8 @@ def test_swerve_prediction_integrates_what_will_be_commanded(open_brakes: bool) 
 def test_the_odometry_does_not_listen_to_a_wheel_that_a_plan_lets_slip(allow_side_slip: bool) -> None:
     """Three wheels roll 1 cm straight ahead, the fourth stands across. Truth: the base has come 1 cm."""
     trusting = EstimatorSettings(use_gyro=False, reject_slipping_wheels=False)
-    geometry, controller = (
-        SWERVE.base.geometry,
-        SwerveController(
-            SWERVE, np.zeros(3), PERIOD, tracking=TrackingSettings(allow_side_slip=allow_side_slip), estimation=trusting
-        ),
-    )
+    kind = FlipController if allow_side_slip else SwerveController
+    geometry, controller = SWERVE.base.geometry, kind(SWERVE, np.zeros(3), PERIOD, estimation=trusting)
     u, plans, across = np.zeros(SWERVE.input.size), PolicyQueue(), np.array([0.5 * np.pi, 0.0, 0.0, 0.0])
     u[SWERVE.input["base"]] = [0.4, 0.0, 0.0]
     steer = -geometry.wheel_heading + across
@@ -109,8 +107,8 @@ def test_the_arms_zeros_are_taken_from_what_its_encoders_say() -> None:
     """Truth: true angle = measured - zero."""
     zeros, arm = 1e-3 * np.arange(6), np.linspace(-1.0, 1.0, 6)
     for smoothing in (0.0, 0.025):
-        settings = EstimatorSettings(use_gyro=False, arm_offset=zeros, smoothing=smoothing)
-        controller = SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=settings)
+        settings = TrackEstimation(use_gyro=False, arm_offset=zeros, smoothing=smoothing)
+        controller = TrackController(SWERVE, np.zeros(3), PERIOD, estimation=settings)
         controller.measure(replace(message(0.0), arm=arm))
         assert controller.state()[SWERVE.state["arm"]] == pytest.approx(arm - zeros)
 
@@ -303,7 +301,7 @@ def test_wheels_and_steering_are_reported_what_friction_takes() -> None:
     u, given, lost, period = 0.2 * swerve_input(1), SWERVE.input, 0.03, 0.01
     u[given["wheel"]], u[given["steer"]] = 2.0, 1.0  # the plan's steering angles rise by 1 rad/s
     controller, plans = (
-        SwerveController(SWERVE, np.zeros(3), period, tracking=TrackingSettings(friction=True)),
+        TrackController(SWERVE, np.zeros(3), period, tracking=TrackTracking()),
         PolicyQueue(),
     )
     plans.add(0.0, constant_policy(u))
@@ -327,7 +325,7 @@ def test_smoothed_positions_are_those_of_the_moment() -> None:
     plan, steer = constant_policy(u), -geometry.wheel_heading
     plan.x[:, SWERVE.state["steer"]] = steer
     controller, plans = (
-        SwerveController(SWERVE, np.zeros(3), PERIOD, estimation=EstimatorSettings(use_gyro=False, smoothing=0.025)),
+        TrackController(SWERVE, np.zeros(3), PERIOD, estimation=TrackEstimation(use_gyro=False, smoothing=0.025)),
         PolicyQueue(),
     )
     plans.add(0.0, plan)

@@ -11,7 +11,6 @@ import pytest
 from toys import robot
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
 from wbmpc.bases.ball.perturbation import BallPerturbation
-from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sent_torques import DriveSettings
 from wbmpc.errors import InputError
 from wbmpc.mpc.policy import Policy
@@ -19,7 +18,8 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.registry import REGISTRY
 from wbmpc.studies.minniti2019.controller_settings import WholeBodyMpc
 from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
-from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, TrackingController
+from wbmpc.studies.minniti2019.servo_plant import ServoPlant
+from wbmpc.studies.minniti2019.tracking_control import ActuatorGains, ServoCommand, TrackingController
 
 BALL = robot("rezero")
 N, PERIOD = BALL.base.nq, 0.0025
@@ -83,15 +83,15 @@ def test_drives_close_the_loop_between_commands() -> None:
     still = BallPerturbation(
         mass=0.0, inertia=0.0, com_offset=0.0, joint_offset=0.0, actuator_time_constant=0.002, actuator_time_constant_spread=0.0
     )  # fmt: skip
-    plant = BallPlant(BALL.description, home, torque, still, 0)
+    plant = ServoPlant(BALL.description, home, torque, still, 0)
     now = np.concatenate([np.zeros(3), home[5:N]])
     target = now + [0.0, 0.0, 0.0, 0.0, 0.0, 0.05]
     stiffness, damping = np.array([0.0] * 3 + [40.0] * 3), np.array([0.0] * 3 + [2.0] * 3)
-    plant.step(BallCommand(torque, target, np.zeros(6), stiffness, damping), 300)
+    plant.step(ServoCommand(torque, target, np.zeros(6), stiffness, damping), 300)
     moved = plant.state()[5:N] - home[5:N]
     assert moved[2] == pytest.approx(0.05, abs=0.01)  # gravity's torque changes a little on the way
     assert np.abs(moved[:2]).max() < 0.01
-    plant = BallPlant(BALL.description, home, torque, still, 0)
+    plant = ServoPlant(BALL.description, home, torque, still, 0)
     plant.step(BallCommand(torque), 300)
     assert np.abs(plant.state()[5:N] - home[5:N]).max() < 0.01
 

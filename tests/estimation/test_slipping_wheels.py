@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import SLIP_WEIGHT
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
-from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
 from wbmpc.model.robot import load_robot
+from wbmpc.studies.pankert2022.side_slip import FlipController
 
 GEOMETRY = load_robot("swerve-fixed-ur10").base.geometry
 H, ZEROS = 0.0025, np.zeros(4)
@@ -49,9 +48,9 @@ def test_a_wheel_that_is_known_to_slip_has_no_say() -> None:
 def test_what_is_known_counts_where_too_few_wheels_agree() -> None:
     """All four would count, the wheel that turns about with them, if the announcement were dropped too."""
     robot = load_robot("swerve-fixed-ur10")
-    controller = SwerveController(robot, np.zeros(3), H, tracking=TrackingSettings(allow_side_slip=True))
-    estimator, announced = controller.estimator, controller.tracking.side_slip
-    assert announced is not None and estimator._odd is not None and estimator._weights() is None
+    controller = FlipController(robot, np.zeros(3), H)
+    estimator, announced = controller.estimator, controller.estimator.side_slip
+    assert estimator._odd is not None and estimator._weights() is None
     announced.announce(np.array([0.0, 0.1, 0.0, 0.0]))
     estimator._odd.odd[:] = np.array([0.1, 0.0, 0.0, 0.1])
     assert estimator._weights() == pytest.approx([1.0, SLIP_WEIGHT, 1.0, 1.0])

@@ -10,7 +10,7 @@ from toys import robot
 from wbmpc.bases.ball.messages import BallCommand
 from wbmpc.bases.ball.perturbation import BallPerturbation
 from wbmpc.errors import InputError
-from wbmpc.simulation.force_tip import ForceSensor
+from wbmpc.studies.force_tip import ForceSensor
 from wbmpc.studies.minniti2019.door_plant import Door, DoorPlant
 
 ROBOT = robot("rezero")

@@ -10,7 +10,8 @@ from scipy.integrate import quad
 from wbmpc import lie
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.studies.pankert2022 import track_references as track
-from wbmpc.tasks.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath, nearest_distance
+from wbmpc.studies.paths import APPROACH_RATE, APPROACH_SPEED, Approach, SinePath
+from wbmpc.tasks.paths import nearest_distance
 
 PATH = SinePath(amplitude=0.498, length=15.96, periods=6, speed=0.255, start=0.5, ramp=2.0)
 

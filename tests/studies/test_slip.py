@@ -19,8 +19,8 @@ from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.ocp import residuals
 from wbmpc.registry import REGISTRY
-from wbmpc.simulation.force_tip import TIP_RADIUS
 from wbmpc.simulation.lockstep import Ending
+from wbmpc.studies.force_tip import TIP_RADIUS
 from wbmpc.studies.minniti2019 import press as pressing
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door
 from wbmpc.studies.minniti2019.door_trial import believed

@@ -12,7 +12,7 @@ import pytest
 from toys import robot
 from wbmpc.errors import RunAborted
 from wbmpc.log import Log
-from wbmpc.simulation.force_tip import TIP, TIP_MASS, TIP_RADIUS
+from wbmpc.studies.force_tip import TIP, TIP_MASS, TIP_RADIUS
 from wbmpc.studies.pankert2022 import wipe as study
 from wbmpc.studies.pankert2022.wipe import EXPERIMENT, SwerveWipeSettings
 from wbmpc.studies.pankert2022.wipe_control import BEGIN, INTEGRAL, RISE, STAND, TOUCHES, WALL, Order, WallLine, Wipe

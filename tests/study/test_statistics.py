@@ -40,7 +40,7 @@ def test_a_pair_cancels_what_a_seed_does_to_both() -> None:
     seeds = np.random.default_rng(0).normal(scale=100.0, size=20)
     found = paired(seeds - 1.0, seeds)
     assert found.difference == pytest.approx(-1.0) and found.high < 0.0 and found.text == "better"
-    assert (found.wins, found.losses, found.p_value) == (20, 0, pytest.approx(2 * 0.5**20))
+    assert (found.wins, found.losses) == (20, 0)
     assert paired(seeds - 1.0, seeds, smaller_is_better=False).text == "worse"
     assert paired(seeds, seeds).text == "no difference"
 

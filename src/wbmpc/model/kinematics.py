@@ -50,11 +50,6 @@ def rotation_about(axis: np.ndarray, angle: SX) -> SX:
     return SX(ca.DM.eye(3)) + s * constant(k) + (1 - c) * constant(k @ k)
 
 
-def cross(a: SX, b: SX) -> SX:
-    """Vector product that keeps structural zeros."""
-    return ca.cross(a, b)
-
-
 @dataclass(frozen=True)
 class FramePose:
     """``position`` (3) [m], ``quaternion`` (4) and ``rotation`` matrix (3, 3) of a frame in the world."""
@@ -191,14 +186,14 @@ class Chain:
         v, w, rates = linear, angular, self._with_followers(rates)
         for i in self._path(frame.link):
             link, place = self.links[i], self.places[i]
-            v = place.rotation.T @ (v + cross(w, place.offset))
+            v = place.rotation.T @ (v + ca.cross(w, place.offset))
             w = place.rotation.T @ w
             if i in rates and link.kind == "revolute":
                 w = w + place.axis * rates[i]
             elif i in rates:
                 v = v + place.axis * rates[i]
         rotation = self.link_place(frame.link)[1]
-        return rotation @ (v + cross(w, constant(frame.position))), rotation @ w
+        return rotation @ (v + ca.cross(w, constant(frame.position))), rotation @ w
 
     def _path(self, i: int) -> list[int]:
         path = []
@@ -225,7 +220,7 @@ class Chain:
         for i in reversed(range(len(self.links))):
             p, up = self.places[i], self.links[i].parent
             carried, turned = p.rotation @ force[i], p.rotation @ moment[i]
-            turned = turned + cross(p.offset, carried)
+            turned = turned + ca.cross(p.offset, carried)
             if up >= 0:
                 force[up], moment[up] = force[up] + carried, moment[up] + turned
             else:
@@ -249,23 +244,23 @@ class Chain:
             w0, aw0, av0 = (w[up], aw[up], av[up]) if up >= 0 else (root.angular, root.spin_rate, root.acceleration)
             back = p.rotation.T
             w[i], aw[i] = back @ w0, back @ aw0
-            av[i] = back @ (av0 + cross(aw0, p.offset) + cross(w0, cross(w0, p.offset)))
+            av[i] = back @ (av0 + ca.cross(aw0, p.offset) + ca.cross(w0, ca.cross(w0, p.offset)))
             if i in rates:
                 turn = p.axis * rates[i]
                 push = p.axis * accelerations[i] if i in accelerations else SX(3, 1)
                 if link.kind == "revolute":
-                    aw[i] = aw[i] + cross(w[i], turn) + push
+                    aw[i] = aw[i] + ca.cross(w[i], turn) + push
                     w[i] = w[i] + turn
                 else:
-                    av[i] = av[i] + 2 * cross(w[i], turn) + push
+                    av[i] = av[i] + 2 * ca.cross(w[i], turn) + push
             if link.mass > 0.0:
                 com, inertia = constant(link.com), constant(link.inertia)
-                force[i] = link.mass * (av[i] + cross(aw[i], com) + cross(w[i], cross(w[i], com)))
-                moment[i] = inertia @ aw[i] + cross(w[i], inertia @ w[i]) + cross(com, force[i])
+                force[i] = link.mass * (av[i] + ca.cross(aw[i], com) + ca.cross(w[i], ca.cross(w[i], com)))
+                moment[i] = inertia @ aw[i] + ca.cross(w[i], inertia @ w[i]) + ca.cross(com, force[i])
         if load is not None:
             i, place = load.link, load.place
-            weight = load.mass * (av[i] + cross(aw[i], place) + cross(w[i], cross(w[i], place)))
-            force[i], moment[i] = force[i] + weight, moment[i] + cross(place, weight)
+            weight = load.mass * (av[i] + ca.cross(aw[i], place) + ca.cross(w[i], ca.cross(w[i], place)))
+            force[i], moment[i] = force[i] + weight, moment[i] + ca.cross(place, weight)
         return force, moment
 
     def _point_load(self) -> PointLoad | None:
@@ -285,7 +280,7 @@ class Chain:
             if link.parent >= 0:
                 carried = p.rotation @ force[i]
                 force[link.parent] = force[link.parent] + carried
-                moment[link.parent] = moment[link.parent] + p.rotation @ moment[i] + cross(p.offset, carried)
+                moment[link.parent] = moment[link.parent] + p.rotation @ moment[i] + ca.cross(p.offset, carried)
         return ca.vertcat(*[torques[i] for i in self.moving])
 
     def mass_matrix(self) -> SX:
@@ -307,9 +302,9 @@ class Chain:
             link, p = self.links[i], self.places[i]
             if i in row:
                 if link.kind == "revolute":
-                    f, t = cross(p.axis, first[i]), inertia[i] @ p.axis
+                    f, t = ca.cross(p.axis, first[i]), inertia[i] @ p.axis
                 else:
-                    f, t = mass[i] * p.axis, cross(first[i], p.axis)
+                    f, t = mass[i] * p.axis, ca.cross(first[i], p.axis)
                 self._spread(m, row, i, f, t)
             up = link.parent
             if up >= 0:
@@ -332,7 +327,7 @@ class Chain:
                 value = ca.dot(p.axis, t if link.kind == "revolute" else f)
                 m[row[i], row[j]] = value
                 m[row[j], row[i]] = value
-            f, t = p.rotation @ f, p.rotation @ t + cross(p.offset, p.rotation @ f)
+            f, t = p.rotation @ f, p.rotation @ t + ca.cross(p.offset, p.rotation @ f)
             j = link.parent
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from wbmpc import checks, lie
 from wbmpc.arrays import Array
 from wbmpc.errors import InputError, SensorFailure, unknown_name
-from wbmpc.obstacles.scene import read_scene
+from wbmpc.obstacles.scene import SceneObstacle, read_scene
 from wbmpc.obstacles.shapes import (
     LARGEST,
     Box,
@@ -170,11 +170,7 @@ class Obstacles:
         scene, trial = list(read_scene(path)), Obstacles()
         with self._lock:
             trial._obstacles.update(self._obstacles)
-            for one in scene:
-                try:
-                    trial.set(one.name, one.shape, **one.place)
-                except InputError as error:
-                    raise InputError(f"{one.where}: {error}") from error
+            place_all(scene, trial)
             self._obstacles = trial._obstacles
 
     def remove(self, name: str) -> None:
@@ -242,3 +238,12 @@ def _named(name: str) -> str:
     if not isinstance(name, str) or not name:
         raise InputError(f"obstacle: a name is needed, got {name!r}")
     return f"obstacle '{name}'"
+
+
+def place_all(scene: Sequence[SceneObstacle], world: Obstacles) -> None:
+    """Set the obstacles of a file in a world. Raises :class:`InputError` naming file and obstacle."""
+    for one in scene:
+        try:
+            world.set(one.name, one.shape, **one.place)
+        except InputError as error:
+            raise InputError(f"{one.where}: {error}") from error

@@ -15,7 +15,7 @@ from wbmpc.errors import InputError
 from wbmpc.obstacles.scene import SceneObstacle, read_scene
 from wbmpc.obstacles.shapes import DistanceGrid, HalfSpace
 from wbmpc.obstacles.solids import axes_along
-from wbmpc.obstacles.world import Obstacle, Obstacles, Snapshot
+from wbmpc.obstacles.world import Obstacle, Obstacles, Snapshot, place_all
 from wbmpc.simulation.contacts import APART, FAR, FIXED, OBSTACLE
 
 #: The frame in which the planner sees the scene.
@@ -31,12 +31,8 @@ _PLATE = 50.0
 
 def load_scene(path: str | Path) -> list[SceneObstacle]:
     """The obstacles of a YAML file, checked. Raises :class:`InputError` naming file, obstacle and key."""
-    scene, trial = list(read_scene(path, simulated=True)), Obstacles()
-    for one in scene:
-        try:
-            trial.set(one.name, one.shape, **one.place)
-        except InputError as error:
-            raise InputError(f"{one.where}: {error}") from error
+    scene = list(read_scene(path, simulated=True))
+    place_all(scene, Obstacles())
     return scene
 
 

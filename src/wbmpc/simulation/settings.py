@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from wbmpc.settings import ControlSettings, MpcSettings, Settings
+from wbmpc.settings import Settings
 from wbmpc.simulation.localization import Localization
 
 
@@ -20,10 +20,3 @@ class LidarSettings(Settings):
     def source(self, seed: int) -> Localization:
         """The simulated source."""
         return Localization(self.rate, self.age, self.position, self.yaw, seed)
-
-
-class ExperimentSettings(Settings):
-    """What every experiment of a study has, beside its ``plant``."""
-
-    mpc: MpcSettings = MpcSettings()
-    control: ControlSettings = ControlSettings()

@@ -18,7 +18,7 @@ from wbmpc.bases.base import Base
 from wbmpc.bases.footprint import Footprint
 from wbmpc.checks import numbers
 from wbmpc.errors import InputError
-from wbmpc.model.kinematics import Chain, FramePose, PointLoad, RootMotion, constant, cross
+from wbmpc.model.kinematics import Chain, FramePose, PointLoad, RootMotion, constant
 from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.stability.friction import friction_needed
@@ -83,16 +83,19 @@ class Support:
         the end effector carries, and its center [m] in the end effector's axes."""
         if motion is None:
             force = self.mass * constant(gravity)
-            moment = cross(self.com, force)
+            moment = ca.cross(self.com, force)
             if payload is not None:
                 weight = payload[0] * constant(gravity)
                 frame = self.chain.frame_pose(self.robot.tree.frames[self.robot.tool])
-                force, moment = force + weight, moment + cross(frame.position + frame.rotation @ payload[1:4], weight)
+                force, moment = (
+                    force + weight,
+                    moment + ca.cross(frame.position + frame.rotation @ payload[1:4], weight),
+                )
         else:
             force, moment = self._dynamic_load(gravity, motion, payload)
         if wrench is not None:
             force = force + wrench[0:3]
-            moment = moment + wrench[3:6] + cross(self.tool(), wrench[0:3])
+            moment = moment + wrench[3:6] + ca.cross(self.tool(), wrench[0:3])
         return force, moment
 
     def _dynamic_load(
@@ -107,7 +110,7 @@ class Support:
         rate = ca.jtimes(now, every, change)
         root = self.chain.root
         assert root is not None
-        lifted = rate[0:3] + cross(angular, linear) - root.rotation.T @ constant(gravity)
+        lifted = rate[0:3] + ca.cross(angular, linear) - root.rotation.T @ constant(gravity)
         load = None
         if payload is not None:
             frame = self.robot.tree.frames[self.robot.tool]
@@ -117,7 +120,7 @@ class Support:
         accelerations = {link: rate[6 + k] for k, link in enumerate(links)}
         force, moment = self.chain.root_wrench(rates, accelerations, moved, load)
         force, moment = -(root.rotation @ force), -(root.rotation @ moment)
-        return force, moment + cross(root.position, force)
+        return force, moment + ca.cross(root.position, force)
 
     @staticmethod
     def zmp(load: tuple[ca.SX, ca.SX]) -> ca.SX:

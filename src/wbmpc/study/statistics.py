@@ -43,8 +43,8 @@ class Rate:
 
 @dataclass(frozen=True)
 class Paired:
-    """Two variants on ``count`` equal seeds: median of the difference (this minus the other) with its interval, in how many this is
-    better and worse, and the p-value of the sign test."""
+    """Two variants on ``count`` equal seeds: median of the difference (this minus the other) with its interval, and in how many this
+    is better and worse."""
 
     count: int
     difference: float
@@ -52,7 +52,6 @@ class Paired:
     high: float
     wins: int
     losses: int
-    p_value: float
 
     @property
     def text(self) -> str:
@@ -118,6 +117,5 @@ def paired(these: np.ndarray, others: np.ndarray, smaller_is_better: bool = True
         difference = np.where(np.isclose(these, others, rtol=_ROUNDING, atol=0.0), 0.0, these - others)
     better = difference < 0.0 if smaller_is_better else difference > 0.0
     wins, losses = int(better.sum()), int((difference != 0.0).sum() - better.sum())
-    p_value = float(stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
     low, high = interval(difference)
-    return Paired(difference.size, float(_median(difference)), low, high, wins, losses, p_value)
+    return Paired(difference.size, float(_median(difference)), low, high, wins, losses)

@@ -322,7 +322,7 @@ class BallController:
             found = steps.act(plan, now, measured.state, self._late())
         if found is not None:
             self.feedforward, self.target, self.torque = found
-            return BallCommand.plain(self.torque)
+            return BallCommand(self.torque)
         x = self.ahead()
         self.feedforward, self.target = self._law(now, x, plan, acts=True)
         return self._drive(self.limits.limited(self.target, x))

@@ -1,4 +1,4 @@
-"""What ball robots take and give: torques and servo goals of their drives, measurements of their sensors."""
+"""What ball robots take and give: torques of their drives, measurements of their sensors."""
 
 from __future__ import annotations
 
@@ -8,32 +8,12 @@ import numpy as np
 
 from wbmpc.arrays import Array
 
-#: Of commands that ask for nothing beside torques.
-_NOTHING = np.zeros(0)
-_NOTHING.flags.writeable = False
-
-
-def _nothing() -> Array:
-    return _NOTHING
-
 
 @dataclass(frozen=True)
 class BallCommand:
-    """Torques [N m]: omni wheels, then arm joints. With ``stiffness`` [N m/rad] and ``damping`` [N m s/rad] the drives add
-    what these ask for about ``position`` [rad], which moves on with ``speed`` [rad/s]; none of the four: torque alone."""
+    """Torques [N m]: omni wheels, then arm joints."""
 
     torque: Array
-    position: Array = field(default_factory=_nothing)
-    speed: Array = field(default_factory=_nothing)
-    stiffness: Array = field(default_factory=_nothing)
-    damping: Array = field(default_factory=_nothing)
-
-    @classmethod
-    def plain(cls, torque: Array) -> BallCommand:
-        """Of torques alone."""
-        made = object.__new__(cls)  # many times as fast as __init__
-        vars(made).update(torque=torque, position=_NOTHING, speed=_NOTHING, stiffness=_NOTHING, damping=_NOTHING)
-        return made
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,6 @@
 
 The drives act in the base's frame at the ball joint with constant gear −(r / r_w) a_i; that equals the minimal model
 with rolling. Until its estimator exists the measurement is the simulator's state, late and with noise.
-
-What a drive closes by itself between two commands: stiffness and damping about a moving set point, at the physics' rate.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ from wbmpc.robots import RobotDescription, load_spec
 from wbmpc.robots.checks import named
 from wbmpc.simulation.contacts import GROUND, ROLLING
 from wbmpc.simulation.payloads import add_payload, lay_cables
-from wbmpc.simulation.perturbation import Perturbation, quantize
+from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import (
     TIMESTEP,
     World,
@@ -42,35 +40,6 @@ from wbmpc.simulation.world import (
     unwrap,
 )
 from wbmpc.types import Edit, Truth
-
-#: Speeds are differences of encoder readings over this time [s].
-WINDOW = 0.010
-
-
-class ActuatorServo:
-    """Encoders of ``counts`` per turn with constant ``offset`` (n) [rad], read at every physics step of ``timestep`` [s]."""
-
-    def __init__(self, counts: int, offset: Array, timestep: float) -> None:
-        self._counts, self._offset, self._h = counts, offset, timestep
-        #: over how many physics steps speeds are found
-        self.steps = round(WINDOW / timestep)
-
-    def feedforward(self, command: BallCommand) -> Array:
-        """The command's plain torques (n) [N m]."""
-        return numbers("command", "torque", command.torque, self._offset.size)
-
-    def torque(self, command: BallCommand, since: float, angles: Array, before: Array, steps: int) -> Array:
-        """Torques (n) [N m] of a command with gains, ``since`` [s] after it came: true ``angles`` (n) [rad] now, and ``before``, so many
-        ``steps`` ago."""
-        n = self._offset.size
-        position, speed, stiffness, damping = (
-            numbers("command", name, getattr(command, name), n)
-            for name in ("position", "speed", "stiffness", "damping")
-        )
-        now, first = (quantize(a + self._offset, self._counts) for a in (angles, before))
-        rate = (now - first) / max(steps * self._h, self._h)
-        return self.feedforward(command) + stiffness * (position + since * speed - now) + damping * (speed - rate)
-
 
 #: Contact softness of the ball (time constant [s], damping ratio).
 CONTACT = [0.005, 1.0]
@@ -139,10 +108,7 @@ class BallPlant(WorldAccess):
         # (views of the simulator's memory: to ask for them again costs as much as to write into them)
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
         self.sensors.attach(self._qpos, self._qvel)
-        self.servo = ActuatorServo(
-            p.arm_counts, np.concatenate([np.zeros(len(wheels.turn)), self.draw.arm_offset]), timestep
-        )
-        self._history: deque[Array] = deque(maxlen=1 + max(self._late + jitter, self.servo.steps))
+        self._history: deque[Array] = deque(maxlen=1 + self._late + jitter)
         self._last: BallMeasurement | None = None
         #: what elastic drives do; none where they are rigid
         self.drives = None if isinstance(p.drives, RigidDrives) else self._drives(p.drives)
@@ -296,29 +262,13 @@ class BallPlant(WorldAccess):
 
     def step(self, command: BallCommand, steps: int = 1) -> None:
         """Hold torques for ``steps`` physics steps; drives clip at their limits."""
-        torque = self.servo.feedforward(command)
-        if command.stiffness.size == 0:
-            self._given = torque
-            self.world.advance(self._drive_given, steps, self._record)
-        else:
-            for k in range(steps):
-                self._commands.append(self._servo_torque(command, k * self.timestep))
-                self.world.advance(self._drive, 1, self._record)
+        self._given = numbers("command", "torque", command.torque, self._ctrl.size)
+        self.world.advance(self._drive, steps, self._record)
         self.world.check()
 
-    def _servo_torque(self, command: BallCommand, since: float) -> Array:
-        steps = min(len(self._history) - 1, self.servo.steps)
-        seen = [self.sensors.seen(self._history[k]) for k in (-1, -1 - steps)]
-        now, before = (np.concatenate([one.wheel, one.q[self._arm_q]]) for one in seen)
-        return self.servo.torque(command, since, now, before, steps)
-
-    def _drive_given(self) -> None:
-        """As :meth:`_drive`, after torques that are the same for all physics steps of a command."""
-        self._commands.append(self._given)
-        self._drive()
-
     def _drive(self) -> None:
-        """Controls of one physics step: the command of a dead time ago, or what elastic drives make of it."""
+        """Controls of one physics step: what was given a dead time ago, or what elastic drives make of it."""
+        self._commands.append(self._given)
         command, d = self._commands[0], self.data
         self._ctrl[:] = command if self.drives is None else self.drives.step(command, d.actuator_velocity)
 

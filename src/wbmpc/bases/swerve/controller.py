@@ -38,6 +38,7 @@ class SwerveController:
     """
 
     Estimator: ClassVar[type[SwerveEstimator]] = SwerveEstimator
+    Tracking: ClassVar[type[SwerveTracking]] = SwerveTracking
 
     def __init__(
         self, robot: RobotModel, pose: Array, period: float, brakes: BrakeControl | Brakes | None = None, *,
@@ -51,8 +52,8 @@ class SwerveController:
         wheels = estimation.calibration or WheelCalibration.unknown(geometry)
         # the model has one radius for all wheels
         self.wheel_scale = geometry.wheel_radius / wheels.wheel_radius
-        self.tracking = law = SwerveTracking(robot, period, tracking or TrackingSettings(), self.wheel_scale)
-        self.estimator = self.Estimator(robot, pose, estimation, law.drives, law.arm, law.side_slip)
+        self.tracking = law = self.Tracking(robot, period, tracking or TrackingSettings(), self.wheel_scale)
+        self.estimator = self.Estimator(robot, pose, estimation, law.drives, law.arm)
         self.supervision = BrakeSupervision(robot, period, brakes, supervision or SupervisionSettings())
 
     @property
@@ -117,7 +118,6 @@ class SwerveController:
         previous = self.measured or measurement
         self.tracking.arm.learn(measurement.arm - previous.arm, measurement.time - previous.time)
         self.estimator.process(measurement)
-        self.tracking.learn_friction(previous, measurement)
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
         """The state at time ``until``, by the inputs that will be applied from ``t`` on, and what the drives still owe.

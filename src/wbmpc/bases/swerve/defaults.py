@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from wbmpc.bases.swerve.brake_control import BrakeControl
-from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.default_problem import (
     ACCELERATION_SLACK,
@@ -132,8 +129,3 @@ def swerve_mpc(
         ocp = keep_standing(ocp, robot)
     ocp = keep_clear(path_problem(ocp, frame=progress) if progress else ocp, robot, obstacles)
     return make_mpc(ocp, settings, stability, guess=guess, obstacles=obstacles)
-
-
-def closed_brakes(robot: RobotModel, mpc: MPC) -> Callable[[BrakeFault], None] | None:
-    """Legs stay closed; what takes their faults, so that the plan counts with them. None for fixed legs."""
-    return BrakeControl(robot, changed=mpc.set_schedule).accept if "brake" in robot.mode else None

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wbmpc import lie
 from wbmpc.arrays import Array
-from wbmpc.bases.swerve.compilation import step
-from wbmpc.bases.swerve.drives import ArmDrives, DriveModel, Smoothing, smooth
+from wbmpc.bases.swerve.drives import ArmDrives, DriveModel
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.inertial_velocity import InertialVelocity
 from wbmpc.bases.swerve.messages import SwerveMeasurement
@@ -20,76 +18,7 @@ from wbmpc.bases.swerve.odometry_filter import OdometryNoise
 from wbmpc.bases.swerve.slipping_wheels import SlippingWheels
 from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.bases.swerve.wheel_odometry import WheelOdometry
-from wbmpc.checks import not_negative
-from wbmpc.kernel.ir import Floats
-from wbmpc.kernel.step import bind
 from wbmpc.model.robot import RobotModel
-from wbmpc.model.wheels import wheel_velocities
-
-#: Sideways speed [m/s] at which a wheel slips; for how long [s] after it the wheel does (drives lag).
-SLIPS_AT, SLIPS_FOR = 0.02, 0.1
-
-
-class SideSlip:
-    """Which wheels slip sideways, under a plan with flips (:meth:`update`) or where a controller says so (:meth:`announce`), one of them
-    every ``period`` [s]: ``left`` (n) [s], for how long each still does."""
-
-    def __init__(self, robot: RobotModel, period: float) -> None:
-        self._geometry, self._input, self._period = swerve_base(robot).geometry, robot.input, period
-        self.left = np.zeros(swerve_base(robot).geometry.modules)
-
-    def update(self, leg: np.ndarray, steer: np.ndarray, u: np.ndarray) -> None:
-        """Under leg angles ``leg`` (n), planned steering angles ``steer`` (n) [rad] and the input u (nu)."""
-        geometry, inputs = self._geometry, self._input
-        v = wheel_velocities(geometry, leg, u[inputs["base"]], u[inputs["leg"]] if "leg" in inputs else 0.0)
-        heading = geometry.wheel_heading + geometry.leg_angles(leg) + steer
-        side = v[:, 1] * np.cos(heading) - v[:, 0] * np.sin(heading)
-        self.announce(side)
-
-    def announce(self, side: np.ndarray) -> None:
-        """Wheels (n) that slip sideways at ``side`` (n) [m/s] for a period."""
-        self.left = np.where(np.abs(side) > SLIPS_AT, SLIPS_FOR, np.maximum(self.left - self._period, 0.0))
-
-
-class Speeds(NamedTuple):
-    """How fast base and arm move."""
-
-    drives: Floats  # (nu), rates of the inputs
-    mean: Floats  # (m) [rad/s], of the arm
-    sag: Floats  # (m) [rad/s], beyond that
-
-
-class Smoothed(NamedTuple):
-    """Of x, y and the arm (2 + m each): what was read, how fast it changes, and its value."""
-
-    read: Floats
-    rates: Floats
-    value: Floats
-
-
-@step
-def smooth_pose(
-    m: int,
-    base: int,
-    pose: Floats,
-    arm: Floats,
-    speeds: Speeds,
-    smoothed: Smoothed,
-    started: bool,
-    age: float,
-    time: float,
-    h: float,
-) -> None:
-    """x and y of the base's ``pose`` (3) and the ``arm`` (m) are ``smoothed``. The base's ``drives`` begin at ``base``."""
-    drives, read, rates = speeds.drives, smoothed.read, smoothed.rates
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    vx, vy = drives[base], drives[base + 1]
-    rates[0], rates[1] = c * vx - s * vy, s * vx + c * vy
-    read[0], read[1] = pose[0], pose[1]
-    for i in range(m):
-        rates[2 + i], read[2 + i] = speeds.mean[i] + speeds.sag[i], arm[i]
-    smooth(2 + m, read, rates, smoothed.value, started, age, time, h)
-
 
 #: Weight in the odometry of a wheel that slips.
 SLIP_WEIGHT = 1e-3
@@ -110,33 +39,27 @@ class EstimatorSettings:
     """``calibration``: what is known of the wheels (None: nothing); ``noise`` of wheels and gyro; ``use_gyro``: whether the odometry
     has one; ``reject_slipping_wheels``: whether it gives little weight to wheels whose way the accelerometer (:class:`InertialVelocity`) or,
     without one, the others contradict (:class:`SlippingWheels`);
-    ``arm_offset`` (m) [rad] of the arm's encoders (None: 0); ``smoothing`` [s] of base
-    position and arm against the jitter of the encoders' age (0: none)."""
+    ``arm_offset`` (m) [rad] of the arm's encoders (None: 0)."""
 
     calibration: WheelCalibration | None = None
     arm_offset: Array | None = None
     noise: OdometryNoise | None = None
     use_gyro: bool = True
     reject_slipping_wheels: bool = True
-    smoothing: float = 0.0
-
-    def __post_init__(self) -> None:
-        not_negative("swerve robot's estimator", smoothing=self.smoothing)
 
 
 class SwerveEstimator:
     """State of a swerve robot that starts at ``pose`` (x, y, yaw). While it stands, the gyro's bias is found.
 
     ``odometry`` of wheels and gyro; ``wheels_alone``: of the wheels. ``drives`` and ``arm_drives`` say how base and arm move between
-    messages, ``side_slip`` which wheels a plan lets slip (None: none).
+    messages.
     """
 
     def __init__(
-        self, robot: RobotModel, pose: Array, settings: EstimatorSettings, drives: DriveModel, arm_drives: ArmDrives,
-        side_slip: SideSlip | None = None,
-    ) -> None:  # fmt: skip
+        self, robot: RobotModel, pose: Array, settings: EstimatorSettings, drives: DriveModel, arm_drives: ArmDrives
+    ) -> None:
         self.robot, self.use_gyro = robot, settings.use_gyro
-        self._drives, self._arm_drives, self._side_slip = drives, arm_drives, side_slip
+        self._drives, self._arm_drives = drives, arm_drives
         geometry = swerve_base(robot).geometry
         wheels = self.calibration = settings.calibration or WheelCalibration.unknown(geometry)
         self._known = known_weights(wheels)
@@ -151,9 +74,6 @@ class SwerveEstimator:
         )
         self._coasting: Array | None = None  # velocity (2) [m/s] by the inertial unit, while wheels slip
         self._arm_offset = settings.arm_offset
-        self._smoothing: Smoothing | None = None
-        if settings.smoothing > 0.0:
-            self._bind_smoothing(settings.smoothing, (settings.noise or OdometryNoise()).mean_age)
         self.measured: SwerveMeasurement | None = None
 
     def process(self, measurement: SwerveMeasurement) -> None:
@@ -170,10 +90,6 @@ class SwerveEstimator:
         self.odometry.advance(m.time, sample, turning, weights=weights, velocity=self._coasting)
         if m.place is not None:
             self.odometry.correct(m.place.time, m.place.pose, m.place.covariance)
-        if self._smoothing is not None:
-            self._read_arm[:] = m.arm
-            self._smooth(self._smoothing.started, h)
-            self._smoothing.started = True
 
     def interval(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> float:
         """Time [s] from one message to the next."""
@@ -183,10 +99,14 @@ class SwerveEstimator:
         """The gyro's mean yaw rate [rad/s] from one message to the next, h [s] later; None if it says nothing."""
         return 0.5 * float(previous.gyro[2] + now.gyro[2])
 
+    def slipping(self) -> NDArray[np.bool_] | None:
+        """Wheels (n) that are known to slip, as a plan lets them; None: none."""
+        return None
+
     def _wheel_weights(self, h: float, leg: Array, turning: float | None) -> Array | None:
         """Weights (n) of the wheels in the odometry over h [s] to a message; None: all count in full. ``leg`` (n) [rad], ``turning``
         [rad/s] of the gyro."""
-        known = None if self._side_slip is None else self._side_slip.left > 0.0
+        known = self.slipping()
         odd, inertial = self._odd, self._inertial
         if odd is None or inertial is None:
             return self._weights()
@@ -211,9 +131,8 @@ class SwerveEstimator:
 
     def _weights(self) -> Array | None:
         """The same where there is no accelerometer."""
-        known = [False] * swerve_base(self.robot).geometry.modules
-        if self._side_slip is not None:
-            known = [left > 0.0 for left in self._side_slip.left.tolist()]
+        slipping = self.slipping()
+        known = [False] * swerve_base(self.robot).geometry.modules if slipping is None else slipping.tolist()
         odd = known
         if self._odd is not None:
             odd = [k or left > 0.0 for k, left in zip(known, self._odd.odd.tolist(), strict=True)]
@@ -223,16 +142,6 @@ class SwerveEstimator:
                 return np.where(slips, SLIP_WEIGHT, 1.0)
         return None
 
-    def _bind_smoothing(self, time: float, age: float) -> None:
-        """Positions of the base and of the arm at the moment of a message."""
-        inputs, arm = self.robot.input, self._arm_drives.arrays
-        m = len(inputs.groups["arm"])
-        self._smoothing = smoothing = Smoothing(time, age, 2 + m)
-        self._read_arm, drives = np.zeros(m), {"drives": self._drives.rates, "mean": arm["mean"], "sag": arm["sag"]}
-        own = {"pose": self.odometry.mean, "arm": self._read_arm}
-        sizes = {"m": m, "base": inputs["base"].start}
-        self._smooth = bind(smooth_pose, smoothing.arrays | drives | own, **sizes, age=age, time=time)
-
     @property
     def slip(self) -> float | None:
         """Speed [m/s] of the fastest wheel against the base as the inertial unit has it; None without one."""
@@ -241,17 +150,13 @@ class SwerveEstimator:
     @property
     def pose(self) -> Array:
         """(x, y, yaw) of the base that is controlled."""
-        pose = self.odometry.pose
-        if self._smoothing is not None and self._smoothing.started:
-            pose[:2] = self._smoothing.arrays["value"][:2]
-        return pose
+        return self.odometry.pose
 
     @property
     def arm(self) -> Array:
-        """Measured angles (m) of the arm less their zeros, smoothed if they shall be."""
+        """Measured angles (m) of the arm less their zeros."""
         assert self.measured is not None
-        smooth = self._smoothing.value if self._smoothing is not None else None
-        read = self.measured.arm if smooth is None else smooth[2:]
+        read = self.measured.arm
         return read if self._arm_offset is None else read - self._arm_offset
 
     @property

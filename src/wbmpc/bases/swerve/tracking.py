@@ -1,4 +1,4 @@
-"""From a policy to drive commands of a swerve robot: steering servo, accelerations, wheel scaling, arm, dry friction.
+"""From a policy to drive commands of a swerve robot: steering servo, accelerations, wheel scaling, arm.
 
 The gains of the policy are not used: drives that follow speeds hold a kinematic plan without them, and feedback on wheels from
 an estimated pose would break the rolling rows.
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.swerve.drives import ArmDrives, DriveModel, DryFriction
-from wbmpc.bases.swerve.estimator import SideSlip, SwerveEstimator
-from wbmpc.bases.swerve.messages import SwerveCommand, SwerveMeasurement
+from wbmpc.bases.swerve.drives import ArmDrives, DriveModel
+from wbmpc.bases.swerve.estimator import SwerveEstimator
+from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking_step import integrate, predict, simulate_drives, track
 from wbmpc.checks import not_negative
@@ -28,15 +28,11 @@ ALIGN_GAIN = 15.0
 @dataclass(frozen=True)
 class TrackingSettings:
     """``lag`` [s] of the drives, first order: the plan leads the measured state by it; ``steer_gain`` [1/s] of the steering servo;
-    ``planned_steering``: whether plans start from their own steering angles instead of the measured ones; ``friction``: whether
-    the dry friction of wheels and steering is estimated and compensated; ``allow_side_slip``: plans let wheels slip sideways
-    while they turn about, and the odometry gives little weight to those."""
+    ``planned_steering``: whether plans start from their own steering angles instead of the measured ones."""
 
     lag: float = 0.0
     steer_gain: float = 5.0
     planned_steering: bool = True
-    friction: bool = False
-    allow_side_slip: bool = False
 
     def __post_init__(self) -> None:
         not_negative("swerve robot's tracking", steer_gain=self.steer_gain, lag=self.lag)
@@ -53,17 +49,9 @@ class SwerveTracking:
         self, robot: RobotModel, period: float, settings: TrackingSettings, wheel_scale: Array,
     ) -> None:  # fmt: skip
         self.robot, self.period, self.settings = robot, period, settings
-        modules = swerve_base(robot).geometry.modules
-        groups = ("wheel", "steer") if settings.friction else ()
-        self.friction = {g: DryFriction(modules, period, settings.lag) for g in groups}
         self.drives = DriveModel(robot, period, settings.lag, settings.planned_steering)
         self.arm = ArmDrives(len(robot.input.groups["arm"]), period, settings.lag)
-        self.side_slip = SideSlip(robot, period) if settings.allow_side_slip else None
         self.clamped = self.aligning = False
-        limits = robot.limits
-        self._driven_limits = {
-            g: (limits.actuator_upper[robot.input[g]], limits.input_rate[robot.input[g]] * period) for g in groups
-        }
         self._arrays = self._memory(wheel_scale)
         self._bind()
 
@@ -110,19 +98,12 @@ class SwerveTracking:
         """What of it accelerations allow (nu)."""
         return self._arrays["sent"].copy()
 
-    def learn_friction(self, previous: SwerveMeasurement, now: SwerveMeasurement) -> None:
-        """What dry friction takes, from one message to the next."""
-        for group, drives in self.friction.items():
-            drives.learn(getattr(now, group) - getattr(previous, group), now.time - previous.time)
-
     def rest(self) -> None:
         """A stop: the next commands start from rest."""
         self.arm.follow(np.zeros(self.arm.sag.size))
         self._arrays["u"][:] = self._arrays["sent"][:] = 0.0
         self.clamped = self.aligning = False
         self._simulate_drives()
-        for drives in self.friction.values():
-            drives.command(np.zeros(drives.droop.size), np.inf, np.inf)
 
     def command(
         self, t: float, policy: Policy, estimator: SwerveEstimator, brake: Array
@@ -133,17 +114,13 @@ class SwerveTracking:
         a["planned"][:] = x[self.robot.state["steer"]]
         a["measured"][:], a["brake"][: brake.size] = estimator.steer, brake
         self.aligning, self.clamped = self._track(self.aligning)
-        if self.side_slip is not None:
-            self.side_slip.update(estimator.hinge_angles, a["planned"].copy(), a["u"])
         legs = a["leg_rates"].copy() if "leg" in inputs else np.zeros(0)
-        wheel, steer = self._driven("wheel", a["wheels"]), self._driven("steer", a["sent"][inputs["steer"]])
+        wheel, steer = self.driven("wheel", a["wheels"]), self.driven("steer", a["sent"][inputs["steer"]])
         return SwerveCommand(wheel, steer, self.arm.command.copy(), brake), legs
 
-    def _driven(self, group: str, target: Array) -> Array:
-        """The command to drives (n) [rad/s] with what friction takes of it."""
-        if group not in self.friction:
-            return target.copy()
-        return self.friction[group].command(target, *self._driven_limits[group])
+    def driven(self, group: str, target: Array) -> Array:
+        """The command (n) [rad/s] to the drives of a ``group``, "wheel" or "steer", that are to turn at ``target`` (n)."""
+        return target.copy()
 
     def ahead(self, x: Array, brake: Array) -> None:
         """Begin a prediction at the state x (nx): the drives still move by lag times their present rates."""

@@ -21,9 +21,9 @@ from wbmpc.checks import not_negative, positive
 from wbmpc.errors import InputError
 from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
-from wbmpc.simulation.force_tip import SOFT, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.perturbation import Perturbation
 from wbmpc.simulation.world import Array
+from wbmpc.studies.force_tip import SOFT, TIP, ForceSensor, add_tip, contact_force
 
 #: Half the thickness [m] of the panel, its height [m], and how far [m] its lower edge is above the floor.
 HALF_THICKNESS, HEIGHT, CLEARANCE = 0.02, 1.8, 0.01

@@ -18,8 +18,8 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
-from wbmpc.simulation.force_tip import TIP_MASS, TIP_RADIUS
 from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.force_tip import TIP_MASS, TIP_RADIUS
 from wbmpc.studies.minniti2019.door_control import FAR, DoorController
 from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_model import DoorGeometry

@@ -14,8 +14,8 @@ from wbmpc.experiment import Outcome, Part, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Drawing, Metric, Plot
-from wbmpc.simulation.force_tip import SOFT
 from wbmpc.simulation.lockstep import Progress
+from wbmpc.studies.force_tip import SOFT
 from wbmpc.studies.minniti2019.door import HERE
 from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_problem import DoorEquation, DoorScheme, LimitedApproach

@@ -16,7 +16,6 @@ from wbmpc.bases.ball.lean_control import LeanControl
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.push import PushEstimator
-from wbmpc.bases.ball.truth_record import TruthRecord
 from wbmpc.bases.base import System
 from wbmpc.checks import whole
 from wbmpc.errors import InputError
@@ -32,7 +31,9 @@ from wbmpc.studies.minniti2019.baselines import Parts, make_controller
 from wbmpc.studies.minniti2019.controller_parts import MpcDisturbance, NoisyTruth, PushFilter
 from wbmpc.studies.minniti2019.controller_settings import ControllerSettings, Planner, PlanningController, WholeBodyMpc
 from wbmpc.studies.minniti2019.metrics import estimator_metrics, fault_metrics
+from wbmpc.studies.minniti2019.servo_plant import ServoPlant
 from wbmpc.studies.minniti2019.settings import ControlledSettings, RezeroSettings
+from wbmpc.studies.minniti2019.truth_record import TruthRecord
 from wbmpc.tasks.joint_figures import JointRecord
 from wbmpc.types import Timing
 from wbmpc.units import force_unit
@@ -160,7 +161,7 @@ def ball_system(
     mpc.reference["end_effector"] = Reference.poses([0.0], position, quaternion)
     for term, reference in references.items():
         mpc.reference[term] = reference
-    plant = BallPlant(robot.description, home, torque, settings.perturbation, seed, payload=settings.payload)
+    plant = ServoPlant(robot.description, home, torque, settings.perturbation, seed, payload=settings.payload)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     parts = Parts(robot, mpc, torque, timing.period, estimator_of(chosen, robot, home), arm)
     controller, planner = make_controller(settings, chosen, parts)

@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from wbmpc.simulation.force_tip import TIP_RADIUS
 from wbmpc.simulation.world import Array
+from wbmpc.studies.force_tip import TIP_RADIUS
 from wbmpc.studies.minniti2019.door_plant import DoorPlant
 
 #: What a row of :attr:`TouchPlant.steps` has behind its time, and the units.

@@ -45,6 +45,17 @@ class ActuatorGains:
                 raise InputError(f"tracking: {name} must be at least 0 and finite, got {value}")
 
 
+@dataclass(frozen=True)
+class ServoCommand(BallCommand):
+    """With ``stiffness`` [N m/rad] and ``damping`` [N m s/rad] the drives add what these ask for about ``position`` [rad], which moves on
+    with ``speed`` [rad/s]."""
+
+    position: Array
+    speed: Array
+    stiffness: Array
+    damping: Array
+
+
 class TrackingController(BallController):
     """``wheel_error`` (n) [rad]: ψ_ff − ψ of the wheels at the last command."""
 
@@ -87,6 +98,6 @@ class TrackingController(BallController):
         speed = self.speeds(planned)
         position = np.concatenate([self._integral, planned[self._arm]])
         self._integral = self._integral + self.period * (speed[: self._n] - self.wheel_error / self.leak_time_constant)
-        return BallCommand(
+        return ServoCommand(
             self.limits.limited(self.feedforward, planned), position, speed, self.stiffness, self.damping
         )

@@ -11,10 +11,10 @@ from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import drive_speeds
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.result import Drawing, Metric, Plot, Series, no_comparison
+from wbmpc.result import Drawing, Metric, Plot, Series
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.studies.pankert2022.drive_course import BODY, BUMP_RADIUS, BUMPS, CABLES, DOOR, DOOR_WIDTH, POST, clearance
-from wbmpc.studies.pankert2022.metrics import in_both_frames, rms
+from wbmpc.studies.pankert2022.metrics import in_both_frames, no_comparison, rms
 from wbmpc.studies.storyboard import Ground, Snapshot, storyboard
 
 SPEED_NOTE = (

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from wbmpc.bases.swerve.brake_control import BrakeControl
+from wbmpc.bases.swerve.brake_monitor import BrakeFault
 from wbmpc.bases.swerve.calibrator import SwerveCalibrator, steer_joints
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.model import swerve_base
@@ -17,9 +20,10 @@ from wbmpc.configuration import OneOf
 from wbmpc.estimation.arm_calibration import load_arm_offset
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
-from wbmpc.settings import ACTUATOR_TIME_CONSTANT, Nothing, Settings
+from wbmpc.mpc.mpc import MPC
+from wbmpc.settings import ACTUATOR_TIME_CONSTANT, ControlSettings, MpcSettings, Nothing, Settings
 from wbmpc.simulation.localization import Localization
-from wbmpc.simulation.settings import ExperimentSettings, LidarSettings
+from wbmpc.simulation.settings import LidarSettings
 from wbmpc.studies.pankert2022.reference_drive import calibrated, track_arm
 
 
@@ -43,7 +47,7 @@ class FileCalibration(Settings):
     file: Path = Path("calibration.yaml")
 
 
-class DrivingSettings(ExperimentSettings):
+class DrivingSettings(Settings):
     """``localization``: none (odometry alone) or lidar (:class:`LidarPoses` too), for the MPC and for baselines alike;
     ``calibration`` of the wheels: drive (:class:`DriveCalibration`), none, or file (:class:`FileCalibration`);
     ``tracked_poses``: number of arm poses at which the end effector is tracked first, for the zeros of the arm's encoders (0: zeros of
@@ -51,6 +55,8 @@ class DrivingSettings(ExperimentSettings):
     bias is found (0: it is found on the way, and the pose is corrected late); ``actuator_time_constant`` [s]: that the controller
     assumes."""
 
+    mpc: MpcSettings = MpcSettings()
+    control: ControlSettings = ControlSettings()
     plant: SwervePerturbation = SwervePerturbation()
     use_gyro: bool = True
     calibration: OneOf[Nothing | DriveCalibration | FileCalibration] = DriveCalibration()
@@ -63,12 +69,9 @@ class DrivingSettings(ExperimentSettings):
         """The source of global poses for one plant; None: it has none."""
         return self.localization.source(seed) if isinstance(self.localization, LidarPoses) else None
 
-    def estimation(self, robot: RobotModel, seed: int, smoothing: float = 0.0) -> EstimatorSettings:
-        """What the estimator of a controller is made of, MPC or not; may drive for the calibration first. ``smoothing`` [s]: see
-        :class:`EstimatorSettings`."""
-        return EstimatorSettings(
-            self._wheels(robot, seed), self._arm_offset(robot, seed), use_gyro=self.use_gyro, smoothing=smoothing
-        )
+    def estimation(self, robot: RobotModel, seed: int) -> EstimatorSettings:
+        """What the estimator of a controller is made of, MPC or not; may drive for the calibration first."""
+        return EstimatorSettings(self._wheels(robot, seed), self._arm_offset(robot, seed), use_gyro=self.use_gyro)
 
     def _wheels(self, robot: RobotModel, seed: int) -> WheelCalibration:
         """What is known of the wheels."""
@@ -90,3 +93,8 @@ class DrivingSettings(ExperimentSettings):
         if not isinstance(self.calibration, FileCalibration):
             return None
         return load_arm_offset(self.calibration.file, joints, robot.description.name)
+
+
+def closed_brakes(robot: RobotModel, mpc: MPC) -> Callable[[BrakeFault], None] | None:
+    """Legs stay closed; what takes their faults, so that the plan counts with them. None for fixed legs."""
+    return BrakeControl(robot, changed=mpc.set_schedule).accept if "brake" in robot.mode else None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.steering_planner import SteeringGuess
@@ -23,10 +23,11 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
-from wbmpc.studies.pankert2022.driving import LidarPoses
+from wbmpc.studies.pankert2022.driving import LidarPoses, closed_brakes
 from wbmpc.studies.pankert2022.fixed_figures import metrics, plots
 from wbmpc.studies.pankert2022.fixed_motions import Controller, Motion, SwerveFixedSettings, legs_at_home
 from wbmpc.studies.pankert2022.rolling import FourWheelSteeringController, RollingController, RollingGains
+from wbmpc.studies.pankert2022.side_slip import FlipController
 from wbmpc.studies.pankert2022.standing import stand_still
 from wbmpc.studies.pankert2022.wheel_flip import WheelFlipGuess, fast_enough
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
@@ -47,8 +48,8 @@ Make = Callable[[RobotModel, np.ndarray, float, SwerveFixedSettings, Motion, Est
 def _mpc_controller(
     r: RobotModel, pose: np.ndarray, period: float, s: SwerveFixedSettings, _: Motion, known: EstimatorSettings
 ) -> SwerveController:
-    tracking = TrackingSettings(lag=s.actuator_time_constant, allow_side_slip=fast_enough(r))
-    return SwerveController(r, pose, period, tracking=tracking, estimation=known)
+    kind = FlipController if fast_enough(r) else SwerveController
+    return kind(r, pose, period, tracking=TrackingSettings(lag=s.actuator_time_constant), estimation=known)
 
 
 def goals(

@@ -8,9 +8,9 @@ import numpy as np
 
 from wbmpc.experiment import Run
 from wbmpc.log import Log
-from wbmpc.result import Metric, Plot, Series, no_comparison
+from wbmpc.result import Metric, Plot, Series
 from wbmpc.studies.pankert2022.fixed_motions import PAUSE, Motion
-from wbmpc.studies.pankert2022.metrics import in_both_frames, rms
+from wbmpc.studies.pankert2022.metrics import in_both_frames, no_comparison, rms
 
 #: A base that is asked to move faster than the first and moves slower than the second [m/s] stands still.
 ASKED, STANDING = 0.05, 0.01

@@ -54,3 +54,10 @@ def largest(errors: np.ndarray) -> float:
 def mean(errors: np.ndarray) -> float:
     """Mean length of rows (n, k), or of numbers (n,)."""
     return float(np.linalg.norm(np.atleast_2d(errors.T).T, axis=1).mean())
+
+
+def no_comparison(goal: float | None = None) -> Metric:
+    """The ratio to a baseline that fell or ended early: no number, so that its ``goal`` does not count as reached."""
+    return Metric(
+        float("nan"), "1", goal=goal, goal_note="the baseline did not get to the end, there is nothing to compare with"
+    )

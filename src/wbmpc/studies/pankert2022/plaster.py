@@ -10,7 +10,7 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
 from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.errors import RunAborted
@@ -20,7 +20,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.simulation.contacts import GROUND, OBSTACLE
 from wbmpc.studies.pankert2022 import plaster_wall as wall
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
-from wbmpc.studies.pankert2022.driving import LidarPoses
+from wbmpc.studies.pankert2022.driving import LidarPoses, closed_brakes
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster_figures import metrics, plots
 from wbmpc.studies.pankert2022.standing import stand_still

@@ -16,7 +16,7 @@ from wbmpc.ocp import Reference
 from wbmpc.settings import Nothing, Robot
 from wbmpc.studies.pankert2022.driving import DrivingSettings, LidarPoses
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
-from wbmpc.tasks.paths import Approach
+from wbmpc.studies.paths import Approach
 
 #: Lines [m]: length, distance, lowest; the wall's place and the end effector's distance from it [m]; the end effector ahead of the base at the
 #: start of a line [m].

@@ -16,15 +16,14 @@ import numpy as np
 
 from wbmpc.bases.swerve.brake_control import BrakeControl
 from wbmpc.bases.swerve.brake_supervision import Brakes, SupervisionSettings
-from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.estimator import EstimatorSettings
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.model import swerve_base
-from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.checks import not_negative
 from wbmpc.model.robot import RobotModel
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.mpc.policy_queue import PolicyQueue
+from wbmpc.studies.pankert2022.side_slip import SlipController
 
 #: Gain [1/s] of the arm's joints.
 ARM_GAIN = 4.0
@@ -60,9 +59,9 @@ class RollingGains:
         not_negative("rolling controller", **asdict(self))
 
 
-class RollingController(SwerveController):
+class RollingController(SlipController):
     """``goals``: what base and legs shall do. The arm stands still, or follows ``posture`` (t) -> (angles (m), rates (m)). The other
-    arguments are those of :class:`SwerveController`."""
+    arguments are those of :class:`wbmpc.bases.swerve.controller.SwerveController`."""
 
     posture: Callable[[float], tuple[np.ndarray, np.ndarray]] | None = None
 
@@ -71,10 +70,7 @@ class RollingController(SwerveController):
         brakes: BrakeControl | Brakes | None = None, *, estimation: EstimatorSettings | None = None,
         supervision: SupervisionSettings | None = None,
     ) -> None:  # fmt: skip
-        announces = TrackingSettings(allow_side_slip=True)
-        super().__init__(
-            robot, pose, period, brakes, tracking=announces, estimation=estimation, supervision=supervision
-        )
+        super().__init__(robot, pose, period, brakes, estimation=estimation, supervision=supervision)
         self.goals, self.gains = goals, gains or RollingGains()
         self._turns_about = np.zeros(swerve_base(robot).geometry.modules, bool)
         self._waiting: deque[SwerveCommand] = deque(maxlen=round(self.gains.delay / period) + 1)
@@ -106,8 +102,7 @@ class RollingController(SwerveController):
         limit = self.robot.limits.actuator_upper
         wheel = scale_wheels(wheel, float(limit[self.robot.input["wheel"]].min()))
         wheel = wheel * float(np.cos(np.minimum(np.abs(target - measured), 0.5 * np.pi)).min())
-        if self.tracking.side_slip is not None:
-            self.tracking.side_slip.announce(wheel * geometry.wheel_radius * np.sin(target - measured))
+        self.estimator.side_slip.announce(wheel * geometry.wheel_radius * np.sin(target - measured))
         steer_limit = limit[self.robot.input["steer"]]
         steer = np.clip(self.gains.steer_gain * (target - measured), -steer_limit, steer_limit)
         self.watch(t, brake, swing)

@@ -10,18 +10,18 @@ import numpy as np
 from wbmpc import lie
 from wbmpc.bases.base import System
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.controller import SwerveController
-from wbmpc.bases.swerve.defaults import closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.defaults import swerve_mpc
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.plant import SwervePlant
-from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
+from wbmpc.studies.pankert2022.driving import closed_brakes
 from wbmpc.studies.pankert2022.metrics import in_frame, rotation_about_z
 from wbmpc.studies.pankert2022.release_odometry import ReleaseOdometry
 from wbmpc.studies.pankert2022.standing import stand_still
+from wbmpc.studies.pankert2022.track_control import TrackController, TrackEstimation, TrackTracking
 from wbmpc.studies.pankert2022.track_figures import SPEEDS, metrics, plots
 from wbmpc.studies.pankert2022.track_references import SwerveTrackSettings, TrackReferences
 from wbmpc.studies.pankert2022.wheel_log import WheelLog, swerve_robot
@@ -66,10 +66,10 @@ def build(settings: SwerveTrackSettings, seed: int) -> Scenario:
     )
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
     # after everything that rejects bad settings at once
-    estimation = settings.estimation(robot, seed, settings.smoothing)
+    estimation = TrackEstimation(**vars(settings.estimation(robot, seed)), smoothing=settings.smoothing)
     pose0 = plant.truth().pose
-    controller = SwerveController(
-        robot, pose0, timing.period, tracking=TrackingSettings(lag=settings.actuator_time_constant, friction=settings.friction),
+    controller = TrackController(
+        robot, pose0, timing.period, tracking=TrackTracking(lag=settings.actuator_time_constant, friction=settings.friction),
         estimation=estimation, supervision=SupervisionSettings(report=closed_brakes(robot, mpc)),
     )  # fmt: skip
     # the model's base has one height: what the true one lacks of it, the end effector makes up for

@@ -15,7 +15,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.settings import Robot, Settings
 from wbmpc.studies.pankert2022.driving import DrivingSettings
-from wbmpc.tasks.paths import Approach, SinePath
+from wbmpc.studies.paths import Approach, SinePath
 
 #: Length of one period [m] (15.96 m for six) and heights, offsets of the end effector's path [m].
 PERIOD_LENGTH, HEIGHT, SIDE, AHEAD = 15.96 / 6, 0.80, 0.65, 0.30

@@ -36,8 +36,8 @@ from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.unified_figures import metrics, plots
 from wbmpc.studies.pankert2022.unified_settings import AT_HOME, SwerveUnifiedSettings
 from wbmpc.studies.pankert2022.wheel_log import swerve_robot
+from wbmpc.studies.paths import Approach
 from wbmpc.tasks.joint_figures import JointRecord
-from wbmpc.tasks.paths import Approach
 from wbmpc.types import Timing
 
 NAME = "swerve-unified"

@@ -11,15 +11,15 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from wbmpc.bases.swerve.brake_supervision import SupervisionSettings
-from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, closed_brakes, swerve_mpc
+from wbmpc.bases.swerve.defaults import StateCost, SwerveCost, swerve_mpc
 from wbmpc.bases.swerve.model import swerve_base
 from wbmpc.bases.swerve.tracking import TrackingSettings
 from wbmpc.experiment import Experiment, Loop, Scenario
 from wbmpc.log import Log
 from wbmpc.settings import Robot
-from wbmpc.simulation.force_tip import TIP_MASS, TIP_RADIUS
+from wbmpc.studies.force_tip import TIP_MASS, TIP_RADIUS
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
-from wbmpc.studies.pankert2022.driving import DrivingSettings
+from wbmpc.studies.pankert2022.driving import DrivingSettings, closed_brakes
 from wbmpc.studies.pankert2022.metrics import in_frame
 from wbmpc.studies.pankert2022.plaster import uneven_floor
 from wbmpc.studies.pankert2022.standing import stand_still

@@ -24,7 +24,8 @@ from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Reference
 from wbmpc.studies.pankert2022.track_references import END_EFFECTOR_ORIENTATION
 from wbmpc.studies.pankert2022.wipe_messages import WipeMeasurement
-from wbmpc.tasks.paths import Approach, rise, risen
+from wbmpc.studies.paths import Approach
+from wbmpc.tasks.paths import rise, risen
 from wbmpc.types import Observation
 
 #: The way on the wall: where it begins along it, its height and the wall's place across, as far as it is known [m].

@@ -14,8 +14,8 @@ from wbmpc.bases.swerve.messages import SwerveMeasurement
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.robots import RobotDescription
 from wbmpc.simulation.contacts import HANDLE
-from wbmpc.simulation.force_tip import FORCE, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.simulation.wheeled import CREEP_DECAY, SLIDING_IMPEDANCE
+from wbmpc.studies.force_tip import FORCE, TIP, ForceSensor, add_tip, contact_force
 from wbmpc.studies.pankert2022.wipe_messages import WipeMeasurement
 from wbmpc.types import Edit
 

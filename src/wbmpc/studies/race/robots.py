@@ -15,10 +15,10 @@ from wbmpc.model.robot import load_robot
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.settings import MpcSettings
 from wbmpc.solver import SQP, Solver
+from wbmpc.studies.paths import SinePath
 from wbmpc.studies.race.ballbot import ballbot
 from wbmpc.studies.race.differential import differential_manipulator
 from wbmpc.studies.race.swerve import swerve
-from wbmpc.tasks.paths import SinePath
 
 Limits = Literal["hard", "soft"]
 

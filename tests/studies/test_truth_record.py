@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from toys import made, robot
 from wbmpc.bases.ball.plant import BallPlant
-from wbmpc.bases.ball.truth_record import TruthRecord
 from wbmpc.kernel.step import Backend
 from wbmpc.log import Log, Rows
+from wbmpc.studies.minniti2019.truth_record import TruthRecord
 
 ROBOT = robot("rezero")
 ARM = slice(5, 8)

@@ -1,6 +1,4 @@
-"""What experiments record of a ball robot at every tick, in one call.
-
-What is recorded of a simulated ball robot at every tick, compiled: see :class:`TruthRecord`.
+"""What is recorded of a simulated ball robot at every tick, compiled into one call: see :class:`TruthRecord`.
 
 Positions ``q`` and velocities ``v`` are MuJoCo's; m joints of the arm are at ``arm_q`` and ``arm_v`` in them. Rotations are (3, 3) by rows.
 """
@@ -25,7 +23,7 @@ from wbmpc.simulation.scene import from_base
 
 #: Apart from the controller's steps, which need nothing of the simulator.
 LIBRARY = Library(
-    "record of the ball robot", packages=("bases/ball", "simulation", "kernel"), modules=(__name__,),
+    "record of the ball robot", packages=("bases/ball", "simulation", "kernel", "studies/minniti2019/truth_record.py"), modules=(__name__,),
     uses=(BALL, SIMULATION),
 )  # fmt: skip
 compiled, step = LIBRARY.compiled, LIBRARY.step
