@@ -78,7 +78,7 @@ class DoorFilter:
         self.covariance[0, 0], self.covariance[1, 1] = self.noise.angle**2, self.noise.rate**2
 
     def shift(self, angle: float) -> None:
-        """What was an angle is now larger by ``angle`` [rad]: the door's place is known better, the door has not moved."""
+        """Angles are larger by ``angle`` [rad] from now on: the door's place is known better, the door has not moved."""
         finite("door filter", angle=angle)
         self.state[0] += angle
 

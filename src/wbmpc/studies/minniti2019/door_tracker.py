@@ -26,7 +26,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode
 from wbmpc.studies.minniti2019.contact import ContactDetector
-from wbmpc.studies.minniti2019.door_filter import DoorFilter, LeverFit
+from wbmpc.studies.minniti2019.door_filter import DoorFilter, DoorNoise, LeverFit
 from wbmpc.studies.minniti2019.door_model import FADE_TIME, DoorGeometry, arm_jacobian, end_effector_motion, place_of
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS
 from wbmpc.studies.minniti2019.force import ForceMonitor, ForceReadings
@@ -42,6 +42,8 @@ RELAX = 0.8
 MOVING = 0.03
 #: Above this rate [rad/s] the motion shows its impedance.
 SLIDING = 0.06
+#: Of way [m], speed [m/s] and force [N/√Hz] at the tip.
+TIP_NOISE = DoorNoise(angle=1.4e-3, rate=0.035, torque=0.07)
 #: How much of the resistance that was estimated is taken for a closer's, which brings the door back, and not for dry friction.
 #: A door is taken to come back no faster than at the last [rad/s], however it was estimated.
 CLOSER_SHARE, MAX_CLOSING = 0.5, 0.5
@@ -100,8 +102,9 @@ class DoorTracker(BallController):
     ) -> None:  # fmt: skip
         super().__init__(robot, mpc, *args, **more)
         self.push, self.geometry = push, geometry
-        self.filter = DoorFilter(impedance)
-        self.impedance, self.identify = self.filter.impedance, identify
+        self.lever = geometry.lever(push.start, 0.0)
+        self.filter = DoorFilter(impedance / self._at_tip, TIP_NOISE)
+        self.impedance, self.identify = np.array(impedance, float), identify
         self.with_door = "door" in mpc.ocp.dynamics.state
         self.modes = modes(self.with_door)
         self.contact, self.sensor = (ContactDetector(**LIGHT) if push.fastest else ContactDetector()), ForceMonitor()
@@ -112,7 +115,6 @@ class DoorTracker(BallController):
         self._loaded = np.inf  # when the push passed what the door resists [s]
         self.fit, self._on_panel = LeverFit(geometry.lever(push.start, 0.0)), 0.0  # time [s] of the last touch
         self.moving, self._mean_rate = False, 0.0
-        self.lever = geometry.lever(push.start, 0.0)
         self._end_effector = end_effector_motion(robot)
         self.sensorless = SensorlessForce(robot)
         self.grip, self.sliding = GripEstimator(push.friction), np.zeros(2)
@@ -267,11 +269,12 @@ class DoorTracker(BallController):
         interval, self._on_panel = t - self._on_panel, t
         apart = max(interval - 1.5 * self.period, 0.0)
         self.fit.update(interval, apart, end_effector, along, normal, HALF_THICKNESS)
+        before = self.lever
         self.lever = self.fit.now
         hinge = self.fit.first - self.fit.lever * along + self.geometry.offset * normal
         known, self.geometry = self.geometry, replace(self.geometry, hinge=(float(hinge[0]), float(hinge[1])))
         if known.touches(end_effector) and self.geometry.touches(end_effector):
-            self.filter.shift(self.geometry.angle(end_effector) - known.angle(end_effector))
+            self.filter.shift(self.lever * self.geometry.angle(end_effector) - before * known.angle(end_effector))
 
     def _not_there(self, end_effector: Array) -> None:
         """An end effector (3) [m] that touches nothing is before the panel: one that comes slowly would else stop where the panel is believed to
@@ -289,16 +292,23 @@ class DoorTracker(BallController):
         relaxed = self.phase == "relax" and (t >= self.relaxed + RELAX or not self.contact.touching)
         return bool(t >= self.push.give_up or relaxed)
 
+    @property
+    def _at_tip(self) -> Array:
+        """A door's inertia, damping and resistance over what the tip feels of them: mass [kg], damping [N s/m], force [N]."""
+        return np.array([self.lever**2, self.lever**2, self.lever])
+
     def _identify(self, end_effector: Array) -> None:
-        """The door's impedance, while it moves and is pushed."""
+        """The door's impedance, while it moves and is pushed: as the tip feels it, for its way and force do not change with what is
+        learned of the lever."""
         angle, rate = float(self.door[0]), float(self.door[1])
+        way, speed = self.lever * angle, self.lever * rate
         if self.phase != "push" or not self.moving or rate < SLIDING:
-            self.filter.rest(angle, max(rate, 0.0))
+            self.filter.rest(way, max(speed, 0.0))
             return
         push = float(-self.geometry.directions(angle)[1] @ self.force)
-        self.filter.update(self.period, self.geometry.lever(end_effector, angle) * push, angle, rate)
+        self.filter.update(self.period, self.geometry.lever(end_effector, angle) / self.lever * push, way, speed)
         if self.identify:
-            inertia, damping, resistance = np.clip(self.filter.impedance, *BOUNDS)
+            inertia, damping, resistance = np.clip(self.filter.impedance * self._at_tip, *BOUNDS)
             self.impedance = np.array([inertia, min(damping, inertia / FADE_TIME), resistance])
 
     def parameters(self) -> dict[str, Array]:
