@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from toys import Rows, ToyDynamics, pendulum, robot
+from wbmpc.model.ode import Ode
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
-from wbmpc.ocp import Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals
-from wbmpc.solver import SQP, Solver
-from wbmpc.solver.receding import align, make_tables, sample_all, shift
+from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals, sets
+from wbmpc.solver import SQP, InteriorPoint, Solver, Status
+from wbmpc.solver.memory_layout import ROW_L, ROWS, N
+from wbmpc.solver.receding import align, make_tables, sample_all, shift, shift_multipliers
+from wbmpc.types import Observation
 
 
 def shifted(solver: Solver, delta: float) -> None:
     if solver.settings.backend == "interpreted":
         solver.twin._shift(delta)
+        solver.twin._shift_multipliers(delta)
     else:
         tables = solver._current_tables()
         align(solver.ws.memory, solver.ws.table, *tables, 0.0)
+        shift_multipliers(solver.ws.memory, solver.ws.table, delta)
         shift(solver.ws.memory, solver.ws.table, delta)
 
 
@@ -194,3 +203,113 @@ def test_feed_forward_is_a_copy() -> None:
     p = plan()
     p.feedforward(2.0)[:] = 99.0
     assert np.abs(p.u).max() < 50.0
+
+
+class Cone(Rows):
+    """Rows whose reference is the last command of the first input."""
+
+    @property
+    def last_inputs(self) -> list[int]:
+        return [0]
+
+
+def steps(rate: float) -> Callable[[residuals.Symbols], ca.SX]:
+    """By how much the input is inside of what may have changed since the last command, on both sides."""
+    change = lambda s: ca.vertcat(s.reference[0] - s.u[0], s.u[0] - s.reference[0])
+    return lambda s: (change(s) + rate * s.reference[1]) / 12.0
+
+
+def swing(backend: str) -> Solver:
+    """A pendulum in real time whose limits of torque and speed are active for a while."""
+    dynamics = Ode({"x": ["q", "v"]}, {"u": ["t"]}, lambda x, u: ca.vertcat(x[1], u - 4.0 * ca.sin(x[0])))
+    ocp = OptimalControlProblem(dynamics, 1.0, 20)
+    ocp.add(Cost("goal", Rows(2, lambda s: ca.vertcat(s.x[0] - 1.5, s.x[1])), 10.0, at="path+terminal"))
+    ocp.add(Cost("torque", Rows(1, lambda s: s.u), 0.01))
+    ocp.add(Constraint("bounds", Rows(1, lambda s: s.u), sets.Box(-6.0, 6.0), hard=True))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1:]), sets.Box(-1.5, 1.5), hard=True, at="path+terminal"))
+    ocp.add(Constraint("rate", Cone(2, steps(20.0), reference=2), sets.NonNegative(), hard=True, slack=1e4))
+    solver = Solver(ocp, SQP.real_time(10, backend=backend))
+    solver.set_reference("rate", Reference([0.0, 1.0], [[-3.0, 0.05], [-3.0, 1.05]]))
+    solver.warm_start(np.zeros(2))
+    return solver
+
+
+def multipliers(solver: Solver) -> np.ndarray:
+    """Of the path's rows (N, rows), as a view of the compiled solver's memory or a copy of the twin's."""
+    if solver.settings.backend == "interpreted":
+        return np.array([r.l for r in solver.twin.own[:-1]])
+    m, o = solver.ws.memory, solver.ws.table
+    n, rows = int(o[N]), int(o[ROWS])
+    return np.asarray(m[o[ROW_L] : o[ROW_L] + n * rows].reshape(n, rows)[:, : len(solver.problem.path.rows)])
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+@pytest.mark.parametrize("delta", [0.013, 0.2, 0.55, 5.0])
+def test_multipliers_move_with_the_plan(backend: str, delta: float) -> None:
+    """NumPy's interpolation over the nodes that have inputs: a limit that is active until some time stays so until then. After a pause of a
+    whole horizon, 1 s, they stay, and so do those of rows that follow the last command."""
+    solver = swing(backend)
+    solver.solve(np.array([0.2, 0.1]))
+    before, times = multipliers(solver).copy(), solver.ws.grid[:-1]
+    assert np.ptp(before, axis=0).max() > 0.1
+    shifted(solver, delta)
+    moved = delta if delta < 1.0 else 0.0
+    want = np.stack([np.interp(times + moved, times, c) for c in before.T], axis=1)
+    cone = [r.name.startswith("rate") for r in solver.problem.path.rows]
+    want[:, cone] = before[:, cone]
+    assert sum(cone) == 2 and np.ptp(before[:, cone], axis=0).max() > 0.1
+    np.testing.assert_allclose(multipliers(solver), want, rtol=1e-12, atol=1e-14)
+
+
+def trolley(settings: SQP) -> Solver:
+    """A mass that goes home with limits of force and speed."""
+    dynamics = Ode({"x": ["q", "v"]}, {"u": ["f"]}, lambda x, u: ca.vertcat(x[1], u))
+    ocp = OptimalControlProblem(dynamics, 2.0, 40)
+    ocp.add(Cost("goal", Rows(2, lambda s: s.x), [10.0, 0.1], at="path+terminal"))
+    ocp.add(Cost("force", Rows(1, lambda s: s.u), 0.01))
+    ocp.add(Constraint("bounds", Rows(1, lambda s: s.u), sets.Box(-6.0, 6.0), hard=True))
+    ocp.add(Constraint("speed", Rows(1, lambda s: s.x[1:]), sets.Box(-1.5, 1.5), hard=True, at="path+terminal"))
+    solver = Solver(ocp, settings)
+    solver.warm_start(np.array([-1.0, 0.0]))
+    return solver
+
+
+@pytest.mark.parametrize("barrier", [1e-3, 1e-5])
+def test_ticks_with_active_limits_take_one_iteration(barrier: float) -> None:
+    """Force and speed are at their limits for a while, and the trolley is pushed. Truth: the converged plan of every state."""
+    solver = trolley(SQP.real_time(interior_point=InteriorPoint("real_time", barrier)))
+    exact = trolley(SQP())
+    x, h, saturated = np.array([-1.0, 0.0]), float(solver.ws.grid[1]), 0
+    for _ in range(10):
+        solver._run(x)
+    for k in range(1, 40):
+        x = solver.simulate(x, solver.ws.u[0], h)
+        x[1] -= 1.0 if k == 20 else 0.0
+        solver._run(x, k * h, h)
+        assert solver.effort.directions == 1, k
+        found = exact.solve(x)
+        assert found.status is Status.CONVERGED
+        assert abs(solver.ws.u[0] - found.u[0]) < 0.05 * 12.0, k
+        saturated += abs(found.u[0, 0]) > 5.9
+    assert saturated > 2
+
+
+def test_one_iteration_a_tick_is_enough_beside_a_limit_of_the_rate() -> None:
+    """A sine is followed by an input that may change so fast since the last command. Truth: the converged plan of the same rows."""
+    plans = {}
+    for iterations in (1, 30):
+        ocp = OptimalControlProblem(Ode({"x": ["q"]}, {"u": ["v"]}, lambda x, u: u), 2.0, 20, first_interval=0.02)
+        ocp.add(Cost("goal", Rows(1, lambda s: s.x - s.reference, reference=1), 1000.0, at="path+terminal"))
+        ocp.add(Cost("speed", Rows(1, lambda s: s.u), 0.1))
+        ocp.add(Constraint("rate", Cone(2, steps(4.0), reference=2), sets.NonNegative(), hard=True, slack=1e6))
+        mpc = MPC(ocp, SQP.real_time(iterations, interior_point=InteriorPoint("real_time", 3e-3)), rate=50.0)
+        t = np.linspace(0.0, 5.0, 501)
+        mpc.reference["goal"] = Reference(t, 0.3 * np.sin(2.0 * t)[:, None])
+        mpc.reset(np.zeros(1))
+        x, errors = np.zeros(1), []
+        for k in range(100):
+            policy = mpc.update(Observation(0.02 * k, x))
+            x = mpc.simulate(x, policy.u[0], 0.02)
+            errors.append(x[0] - 0.3 * np.sin(2.0 * 0.02 * (k + 1)))
+        plans[iterations] = np.abs(errors[20:]).mean()
+    assert plans[1] < 1.2 * plans[30]

@@ -49,7 +49,8 @@ class Row:
     """A row with a state of its own: h = sign z[variable] + offset of one variable, or (``variable`` −1) a general expression.
 
     ``penalty``: weight of the L1 slack (infinite: no slack) or ρ; ``unit``: size of one unit of h in the residual's own;
-    ``state_only``: does not count at the measured state.
+    ``state_only``: does not count at the measured state. ``from_now``: its bound follows the last command, as a cone that opens with the time
+    from now does: at the next solve it is where it was, at the same node.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Row:
     penalty: float
     unit: float
     state_only: bool
+    from_now: bool = False
 
 
 @dataclass
@@ -279,11 +281,11 @@ def _own_rows(
         if selection is not None:
             index, scale, shift = selection[s.i]
             sign, offset = s.sign * scale / width, (s.offset + s.sign * shift) / width
-            group.boxes.append(Row(s.name, kind, index, sign, offset, penalty, width, not with_input[s.i]))
+            group.boxes.append(Row(s.name, kind, index, sign, offset, penalty, width, not with_input[s.i], not held))
         else:
             # a term that does not count in the present mode is h = 1: far inside
             h = switch * ((s.sign * r[s.i] + s.offset) / width) + (1.0 - switch)
-            group.general.append(Row(s.name, kind, -1, 1.0, 0.0, penalty, width, not with_input[s.i]))
+            group.general.append(Row(s.name, kind, -1, 1.0, 0.0, penalty, width, not with_input[s.i], not held))
             group.expressions.append(ca.SX(h))
 
 

@@ -54,6 +54,7 @@ class RowField(IntEnum):
     KIND = 3
     COUNTS_FIRST = 4  # whether the row counts at the first node (1 or 0)
     COUNTS = 5  # … and at the others
+    MOVES = 6  # whether its multiplier moves with the plan: see :func:`wbmpc.solver.receding.shift_multipliers`
 
 
 class StateField(IntEnum):

@@ -10,6 +10,7 @@ import numpy as np
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
 from wbmpc.solver.compilation import LANES, LIBRARY, Floats, Integers, compiled
 from wbmpc.solver.driver import solve
+from wbmpc.solver.inequality_table import entry, node_rows
 from wbmpc.solver.line_search import take
 from wbmpc.solver.memory_layout import (
     ALIGN,
@@ -18,6 +19,7 @@ from wbmpc.solver.memory_layout import (
     GRID_OLD,
     JUMPS,
     LX,
+    MULTIPLIERS,
     NP,
     NU,
     NX,
@@ -31,6 +33,8 @@ from wbmpc.solver.memory_layout import (
     K,
     N,
     P,
+    RowField,
+    Setting,
     StateField,
     U,
     X,
@@ -227,6 +231,32 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
 
 
 @compiled
+def shift_multipliers(m: Floats, o: Integers, delta: float) -> None:
+    """Move multipliers of the path as :func:`shift` does states: a limit that is active until some time stays so until then. Slacks follow
+    from the iterate.
+
+    Those of rows that follow the last command stay: the bound is as wide at a node as it was at that node, and multipliers of wider ones
+    farther ahead would hardly resist. All stay after a pause of a whole horizon."""
+    n, new, g, i = o[N], o[GRID], o[GRID_OLD], 0
+    if delta >= m[g + n] - m[g]:
+        return
+    _, boxes, general = node_rows(o, 0)
+    for k in range(n):
+        t = min(m[new + k] + delta, m[g + n])
+        while i < n - 1 and m[g + i + 1] <= t:
+            i += 1
+        if i >= k:  # backwards in time they stay
+            a = (t - m[g + i]) / (m[g + i + 1] - m[g + i])
+            inner = a > 0.0 and i < n - 1
+            to, source, after = o[ROW_L] + k * o[ROWS], o[ROW_L] + i * o[ROWS], o[ROWS] if inner else 0
+            for j in range(0, boxes + general, LANES):
+                own, here, there = to + j, source + j, source + j + after
+                moves = m[entry(o, RowField.MOVES, j) : entry(o, RowField.MOVES, j) + LANES] > 0.0
+                moved = (1.0 - a) * m[here : here + LANES] + a * m[there : there + LANES]
+                m[own : own + LANES] = np.where(moves, moved, m[own : own + LANES])
+
+
+@compiled
 def receding_solve(
     m: Floats,
     o: Integers,
@@ -242,6 +272,9 @@ def receding_solve(
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
         shift(m, o, delta)
+        # contradictory limits show in multipliers that grow at their nodes
+        if row_count(o) > 0 and o[MULTIPLIERS] == 0 and settings[Setting.KEEP_SLACKS] == 0.0:
+            shift_multipliers(m, o, delta)
     m[o[STATE] + StateField.BLOCKED_TIME] += delta
     sample_all(m, o, numbers, integers, t0)
     return solve(m, o, x0, settings, log)

@@ -20,6 +20,7 @@ class RowState:
         ).reshape(-1, 6)
         self.kind, self.variable, self.sign, self.offset, self.row_penalty, state_only = table.T
         self.rho = 1.0
+        self.from_now = np.array([r.from_now for r in rows], bool)
         self.counts = ~(state_only.astype(bool) & measured)
         self.bounds_inputs = (self.kind == Kind.HARD) & ~state_only.astype(bool)
         self.boxes = len(group.boxes)

@@ -74,6 +74,8 @@ class InterpretedSolver(InterpretedLineSearch):
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         if delta > 0.0:
             self._shift(delta)
+            if not c.keep_slacks and all(rows.hard.all() for rows in self.own):
+                self._shift_multipliers(delta)
         self.mu, self.shift = max(c.initial_barrier, c.keep_multipliers * self.mu), 0.0
         start_adaptive.python(ws.state, 0)
         ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
@@ -386,3 +388,12 @@ class InterpretedSolver(InterpretedLineSearch):
             array[:] = np.stack([np.interp(times + delta, times, c) for c in array.T], axis=1)
         for row in ws.x:
             self._normalize(row)
+
+    def _shift_multipliers(self, delta: float) -> None:
+        """As shift_multipliers of the compiled solver."""
+        nodes, times = self.own[:-1], self.ws.grid[:-1]
+        if delta < self.ws.grid[-1] - self.ws.grid[0]:
+            numbers = np.array([rows.l for rows in nodes])
+            moved = np.array([np.interp(times + delta, times, c) for c in numbers.T]).reshape(-1, len(nodes))
+            for rows, own in zip(nodes, moved.T, strict=True):
+                rows.l = np.where(rows.from_now, rows.l, own)

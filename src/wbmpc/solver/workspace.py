@@ -105,7 +105,7 @@ BLOCKS = (
     "rows_dt",
     "rows_ds",
     "rows_y",  # ν − l, kept apart: it is tiny where the L1 slack is large
-    "row_table",  # (6, path rows, then end rows, each up to a multiple of eight): see memory_layout.py
+    "row_table",  # (7, path rows, then end rows, each up to a multiple of eight): see memory_layout.py
     "row_jacobian",  # (blocks of eight nodes, entries, 8): see wbmpc.kernel.sparse_rows
     "row_matrix",  # (nr, lz): of one node
     "end_jacobian",  # (ne, lz)
@@ -279,7 +279,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "f": (6, s.lx),
         "small": (16 + max(s.ng, s.nr, s.ne),),
         "boxes": (max(barriers, 1), 4),
-        "row_table": (6, max(path + end, 1)),
+        "row_table": (7, max(path + end, 1)),
         "row_jacobian": (-(-n // LANES), max(s.row_entries, 1), LANES),
         "row_matrix": (max(s.nr, 1), s.lz),
         "end_jacobian": (max(s.ne, 1), s.lz),
@@ -321,9 +321,10 @@ def _row_table(rows: list[Row]) -> np.ndarray:
     """The columns of the row table (see memory_layout.py)."""
     used = [r is not _NO_ROW for r in rows]
     columns = [
-        (r.sign, r.offset, r.penalty, r.kind, y and not r.state_only, y) for r, y in zip(rows, used, strict=True)
+        (r.sign, r.offset, r.penalty, r.kind, y and not r.state_only, y, not r.from_now)
+        for r, y in zip(rows, used, strict=True)
     ]
-    return np.array(columns, float).reshape(-1, 6).T
+    return np.array(columns, float).reshape(-1, 7).T
 
 
 def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
