@@ -221,7 +221,7 @@ def test_a_search_goes_on_with_more_trials(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_damaged_database_is_one_message(damage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Truth: what SQLite was told to change in a database that was good."""
+    """Truth: what SQLite changed in a database that was good."""
     pytest.importorskip("optuna")
     file, out = study(tmp_path, TUNE.replace("trials: 14", "trials: 2")), tmp_path / "out"
     Study.load(file, out).tune(workers=0)
