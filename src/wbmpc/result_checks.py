@@ -81,8 +81,9 @@ def _check_metric(where: str, metric: Any) -> None:
 
 
 def _with_plain_figures(metric: Metric) -> Metric:
-    figures = {key: getattr(metric, key) for key in ("value", "paper", "goal", "least")}
-    return replace(metric, **{key: _plain_number(figure) for key, figure in figures.items() if figure is not None})
+    known = lambda figure: None if figure is None else _plain_number(figure)
+    paper, goal, least = map(known, (metric.paper, metric.goal, metric.least))
+    return replace(metric, value=_plain_number(metric.value), paper=paper, goal=goal, least=least)
 
 
 def _plain_number(value: Any) -> int | float:
