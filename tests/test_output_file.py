@@ -147,3 +147,12 @@ def test_nobody_knows_where_a_file_is_written_first(tmp_path: Path) -> None:
         first.write_text("first")
         second.write_text("second")
     assert os.listdir(tmp_path) == ["a.html"] and (tmp_path / "a.html").read_text() == "first"
+
+
+@pytest.mark.parametrize("letter", ["a", "é", "あ", "\U0001f916", "\udcff"])
+def test_names_are_as_long_as_the_file_system_takes(letter: str, tmp_path: Path) -> None:
+    """It counts bytes. Truth: the longest name of such letters that the system itself takes."""
+    size = len(os.fsencode(letter))
+    path = tmp_path / (letter * ((255 - 5) // size) + ".html")
+    write_text(path, "whole")
+    assert [*tmp_path.iterdir()] == [path] and path.read_text() == "whole"

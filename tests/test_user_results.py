@@ -10,6 +10,7 @@ import pytest
 from wbmpc.cli import main
 
 SOURCE = """
+from fractions import Fraction
 import numpy as np
 from pydantic import BaseModel
 import wbmpc as wb
@@ -68,6 +69,10 @@ def write(tmp_path: Path, body: str) -> Path:
         ("log.add('hand', 1.0, [1.0, 2.0, 3.0])", "log: channel 'hand'"),
         ("log.add('file', 1.0, [1.0])", "log: channel 'file'"),
         ("log.names['hand'] = ('x',)", "log: names of 'hand'"),
+        ("log.add('x' * 70_000, 0.0, [1.0])", "log: channel 'xxxx"),
+        ("log.add('hand.names', 0.0, [1.0])", "log: channel 'hand.names'"),
+        ("log.add('lap.time', 0.0, [1.0, 2.0])", "log: channel 'lap.time'"),
+        ("part['settings'] = {'a': {'b': [10**5000]}}", "settings: 'a': a whole number beyond all"),
         ("part['faults'] = [ValueError('x')]", "faults[0]"),
         ("part['reason'] = None", "reason"),
         ("return 3", "RunResult is needed"),
@@ -92,6 +97,7 @@ def test_what_a_run_gives_back_is_one_message_with_the_part_that_is_wrong(
         "part['mpc'] = MpcStatistics.of(np.float64(50.0), [0.001], np.int64(3), np.int64(0))",
         "part['plots'] = line(x=list(t), y=t > 0.5)",
         "part['settings'] = {'a': np.float64(np.nan), 'b': [1, (2, None)]}",
+        "part['metrics'] = {'m': wb.Metric(np.longdouble(2.0), 'm', goal=Fraction(5, 2))}",
     ],
 )
 def test_what_numpy_has_for_numbers_is_as_good(body: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,10 +12,12 @@ from typing import Any
 
 from fuzzing.case import Case
 from fuzzing.file_paths import files
+from fuzzing.programs import programs
 from fuzzing.recorded import messages, recordings, scenes
 from fuzzing.robot_files import models, robots
 from fuzzing.run_files import buses, calibrations, runs
 from fuzzing.setting_values import problems, settings
+from fuzzing.study_files import folders, studies
 from wbmpc.errors import EndedByUser
 from wbmpc.experiment import Experiment
 from wbmpc.registry import REGISTRY
@@ -25,7 +27,8 @@ from wbmpc.simulation.lockstep import Watch
 KINDS: dict[str, tuple[int, Callable[[random.Random, Path], Case]]] = {
     "settings": (294, settings), "robots": (100, robots), "models": (110, models), "files": (50, files),
     "recordings": (80, recordings), "messages": (150, messages), "scenes": (50, scenes), "runs": (50, runs),
-    "calibrations": (50, calibrations), "buses": (60, buses), "problems": (6, problems),
+    "calibrations": (50, calibrations), "buses": (60, buses), "problems": (6, problems), "studies": (30, studies),
+    "folders": (30, folders), "programs": (20, programs),
 }  # fmt: skip
 #: After so many ticks the run of an experiment that was built is ended.
 TICKS = 3

@@ -13,12 +13,13 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.input_file import parse_json
+from wbmpc.log import TEXTS
 from wbmpc.recording.quantities import Columns, channel_unit
 from wbmpc.recording.reader import read_recording
 from wbmpc.report import RECORDING, named
 from wbmpc.report import table as html_table
 from wbmpc.result import Plot, Series
-from wbmpc.run_files import TEXTS, check_amount, check_metric, definition_in, flat, read_log, read_metrics
+from wbmpc.run_files import check_amount, check_metric, definition_in, flat, read_log, read_metrics
 from wbmpc.units import Scale, by_unit, scale, with_unit
 
 #: Runs that are compared at once.

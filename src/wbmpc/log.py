@@ -12,6 +12,9 @@ from wbmpc.output_file import whole_file
 #: Rows for which there is room at first.
 _FIRST = 1024
 
+#: Ends of the names of a log's arrays that hold texts.
+TEXTS = (".names", ".units")
+
 
 class Rows:
     """Channels that are written together at the same times, with one copy for all. ``values``: by channel what the next row will be, an array

@@ -10,6 +10,9 @@ from pathlib import Path
 
 from wbmpc.errors import NotWritten
 
+#: Bytes of a file's name that the name of its beginnings has, at most: file systems count bytes, and take 255.
+_LONGEST_STEM = 200
+
 
 @contextmanager
 def whole_file(path: Path, follow: bool = True) -> Iterator[Path]:
@@ -30,7 +33,8 @@ def whole_file(path: Path, follow: bool = True) -> Iterator[Path]:
             return
     target = Path(os.path.realpath(path)) if follow else path
     # a name that nobody guesses: what stands there, or a link that another user puts there, would be written
-    partial = target.with_name(f"{target.stem[:200]}.part{secrets.token_hex(8)}{target.suffix}")
+    shown = os.fsdecode(os.fsencode(target.stem)[:_LONGEST_STEM])
+    partial = target.with_name(f"{shown}.part{secrets.token_hex(8)}{target.suffix}")
     try:
         with _named(path):
             yield partial

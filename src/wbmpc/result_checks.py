@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 from typing import Any, get_args
 
 import numpy as np
 
 from wbmpc.errors import InputError
-from wbmpc.log import Log
+from wbmpc.log import TEXTS, Log
 from wbmpc.result import Drawing, Metric, MpcStatistics, OutcomeName, Plot, RunResult, Series
 
+#: Characters of a channel's name, at most: an archive has room for 65 535 bytes with an ending, a page for less.
+_LONGEST_NAME = 200
 #: How deep settings are nested, at most.
 _DEEPEST = 50
 
 
 def check_result(result: Any) -> None:
-    """Raise :class:`InputError` that names the part of a :class:`RunResult` that is not what it should be."""
+    """Raise :class:`InputError` that names the part of a :class:`RunResult` that is not what it should be. Figures of other kinds of numbers
+    (fractions, NumPy's) become those of Python: they are compared and printed together."""
     _expect("", result, RunResult)
     _expect("experiment", result.experiment, str)
     _expect("seed", result.seed, int, np.integer)
@@ -30,6 +34,7 @@ def check_result(result: Any) -> None:
     for name, metric in result.metrics.items():
         _expect("metrics: a name", name, str)
         _check_metric(f"metrics: '{name}'", metric)
+    result.metrics = {name: _with_plain_figures(metric) for name, metric in result.metrics.items()}
     if result.mpc is not None:
         _check_statistics(result.mpc)
     _expect("log", result.log, Log)
@@ -53,8 +58,8 @@ def _number(where: str, value: Any) -> None:
     """Raise :class:`InputError` unless it is one number, which need not be finite."""
     try:
         good = isinstance(value, Real | np.bool_) and float(value) is not None
-    except OverflowError:  # a whole number beyond all floats
-        good = False
+    except OverflowError as error:
+        raise InputError(f"{where}: a whole number beyond all numbers of a machine") from error
     if not good:
         raise InputError(f"{where}: a number is needed, got {type(value).__name__}")
 
@@ -75,6 +80,17 @@ def _check_metric(where: str, metric: Any) -> None:
             _number(f"{where}: {key}", getattr(metric, key))
 
 
+def _with_plain_figures(metric: Metric) -> Metric:
+    known = lambda figure: None if figure is None else _plain_number(figure)
+    paper, goal, least = map(known, (metric.paper, metric.goal, metric.least))
+    return replace(metric, value=_plain_number(metric.value), paper=paper, goal=goal, least=least)
+
+
+def _plain_number(value: Any) -> int | float:
+    found = value.item() if isinstance(value, np.generic) else value
+    return found if isinstance(found, int | float) else float(found)
+
+
 def _check_statistics(mpc: Any) -> None:
     _expect("mpc", mpc, MpcStatistics)
     _number("mpc: rate_hz", mpc.rate_hz)
@@ -90,6 +106,10 @@ def _check_log(log: Log) -> None:
         _expect("log: the name of a channel", channel, str)
         if not channel.isprintable() or channel in ("", "file"):  # NumPy's own argument has this name
             raise InputError(f"log: channel {channel!r}: a printable name is needed, and not 'file'")
+        if len(channel) > _LONGEST_NAME:
+            raise InputError(f"log: channel '{channel[:40]}…': its name has more than {_LONGEST_NAME} characters")
+        if channel.endswith(TEXTS):
+            raise InputError(f"log: channel '{channel}': {' and '.join(TEXTS)} end the names of what labels channels")
         try:
             rows = log.array(channel)
         except ValueError as error:
@@ -97,6 +117,8 @@ def _check_log(log: Log) -> None:
         width = rows.shape[1] if rows.ndim == 2 else 1
         if rows.ndim not in (1, 2):
             raise InputError(f"log: channel '{channel}': rows of numbers are needed, got shape {rows.shape[1:]}")
+        if channel.endswith(".time") and not (rows.ndim == 1 and np.isfinite(rows).all()):
+            raise InputError(f"log: channel '{channel}': by its name these are times, finite ones, one in a row")
         if not np.isfinite(log.times(channel)).all():
             raise InputError(f"log: channel '{channel}': its times must be finite")
         if f"{channel}.time" in log.channels:
@@ -157,5 +179,7 @@ def _check_plain(where: str, value: Any, depth: int) -> None:
     elif isinstance(value, list | tuple):
         for inner in value:
             _check_plain(where, inner, depth + 1)
-    elif not (value is None or isinstance(value, str | int | float | np.floating | np.integer | np.bool_)):
+    elif isinstance(value, int):
+        _number(where, value)
+    elif not (value is None or isinstance(value, str | float | np.floating | np.integer | np.bool_)):
         raise InputError(f'{where}: {type(value).__name__} is no value of JSON; try model_dump(mode="json")')

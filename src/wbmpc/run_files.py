@@ -13,6 +13,7 @@ import numpy as np
 
 from wbmpc.errors import InputError
 from wbmpc.input_file import load_json, open_file
+from wbmpc.log import TEXTS
 
 #: Bytes of a log's arrays, at most: an hour of a run has about 0.5 GB.
 LARGEST_LOG = 4 * 1024**3
@@ -21,8 +22,6 @@ LARGEST_LOG = 4 * 1024**3
 LARGEST_PACKED, MOST_PACKED = 256 * 1024**2, 50
 #: Numbers and texts of a metrics.json, at most: a run has some 300, and tables take a millisecond for each.
 MAX_VALUES = 5_000
-#: Ends of the names of a log's arrays that hold texts.
-TEXTS = (".names", ".units")
 _DAMAGED = (
     ValueError, OSError, EOFError, LookupError, AttributeError, TypeError, MemoryError, RecursionError, SyntaxError,
 )  # fmt: skip

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -159,8 +161,8 @@ def test_settings_that_only_the_runs_reject_and_metrics_that_none_has_are_report
     [
         ("constraints: {error: .nan}", "constraints.error=nan: input should be"),
         ("constraints: {eror: 1}", "tune.constraints: no run has the metric 'eror'; valid: error"),
-        ("storage: 'nothing://there'", "tune.storage: 'nothing://there' cannot be opened ("),
-        ("storage: 'sqlite:////proc/nowhere/trials.db'", "trials.db' cannot be opened ("),
+        ("storage: 'nothing://there'", "tune.storage: 'nothing://there': cannot be used as the database of a search ("),
+        ("storage: 'sqlite:////proc/nowhere/trials.db'", "trials.db': cannot be used as the database of a search ("),
     ],
 )
 def test_what_is_wrong_with_a_search_is_named(
@@ -176,12 +178,15 @@ def test_what_is_wrong_with_a_search_is_named(
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs a small disk of its own")
-def test_a_search_on_a_full_disk_names_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Truth: a file system of 64 kB."""
+@pytest.mark.parametrize("size", [64, 120, 132])
+def test_a_search_on_a_full_disk_names_the_file(size: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """When the database is made, and when the first trials come. Truth: a file system of so many kB."""
     pytest.importorskip("optuna")
     disk, file = tmp_path / "disk", tmp_path / "search.yaml"
     disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)], capture_output=True).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={size}k", "none", str(disk)], capture_output=True
+    ).returncode:
         pytest.skip("needs a small disk of its own")
     try:
         search = "search: {offset: {from: 0, to: 1}}, minimize: [{metric: error, limit: 9}], trials: 1"
@@ -191,3 +196,60 @@ def test_a_search_on_a_full_disk_names_the_file(tmp_path: Path, capsys: pytest.C
         assert f"{disk / 'out' / DATABASE}: cannot be written (" in said and "tune.storage" not in said
     finally:
         subprocess.run(["umount", "--lazy", str(disk)], check=True)
+
+
+def test_a_search_goes_on_with_more_trials(tmp_path: Path) -> None:
+    """They find better settings, with which the study's own seeds are run in place of the old ones. Truth: the runs of the report."""
+    pytest.importorskip("optuna")
+    few = Study.load(study(tmp_path, TUNE.replace("trials: 14", "trials: 2")), tmp_path / "out").tune(workers=0)
+    more = Study.load(study(tmp_path, TUNE), tmp_path / "out").tune(workers=0)
+    assert more.trials[:2] == few.trials and few.best is not None and more.best is not None
+    assert more.best["values"] < few.best["values"]
+    rows = Study.load(tmp_path / "study.yaml", tmp_path / "out" / "report").table().to_pylist()
+    gains = {json.loads(row["changes"]).get("control.gain") for row in rows}
+    assert gains == {None, more.best["settings"]["control.gain"]} and len(rows) == 10
+    assert more.report is not None and more.report.finished == more.report.planned == 10
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "delete from trial_params", "update trial_params set param_value=1e308", "update trial_params set distribution_json='{'",
+        """update trial_params set distribution_json='{"name": "CategoricalDistribution", "attributes": {"choices": []}}'""",
+        "delete from trial_values", "update trial_values set value=null", "update trials set state='odd'", "drop table trial_params",
+        "update trials set datetime_start='then'", "update study_user_attributes set value_json='{'",
+    ],
+)  # fmt: skip
+def test_a_damaged_database_is_one_message(damage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Truth: what SQLite changed in a database that was good."""
+    pytest.importorskip("optuna")
+    file, out = study(tmp_path, TUNE.replace("trials: 14", "trials: 2")), tmp_path / "out"
+    Study.load(file, out).tune(workers=0)
+    with closing(sqlite3.connect(out / DATABASE)) as database, database:
+        database.execute(damage)
+    assert main(["tune", str(file), "--workers", "0", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert f"wbmpc: {out / DATABASE}: cannot be used as the database of a search (" in said and "Traceback" not in said
+
+
+def test_a_database_of_another_search_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("optuna")
+    file, out = study(tmp_path, TUNE.replace("trials: 14", "trials: 1")), tmp_path / "out"
+    Study.load(file, out).tune(workers=0)
+    with closing(sqlite3.connect(out / DATABASE)) as database, database:
+        database.execute("update study_user_attributes set value_json='5'")
+    assert main(["tune", str(file), "--workers", "0", "--out", str(out)]) == 2
+    assert "its 1 trials are of another search (seeds, search," in capsys.readouterr().err
+
+
+def test_whole_numbers_are_those_of_their_range(tmp_path: Path) -> None:
+    """Also on a logarithmic scale, and with ends that are none. Truth: the whole numbers from 0.4 to 2.6."""
+    pytest.importorskip("optuna")
+    ranges = "{control.gain: {from: 0.4, to: 2.6, whole: true, log: true}, offset: {from: 0.4, to: 2.6, whole: true}}"
+    text = TUNE.replace("{control.gain: {from: 0.01, to: 100, log: true}, offset: [0, 1]}", ranges)
+    tuned = Study.load(study(tmp_path, text), tmp_path / "out").tune(workers=0)
+    for key in ("control.gain", "offset"):
+        assert {trial["settings"][key] for trial in tuned.trials} == {1, 2}
+    none = text.replace("from: 0.4, to: 2.6, whole: true}", "from: 0.4, to: 0.6, whole: true}")
+    with pytest.raises(InputError, match=r"tune\.search\.offset.*whole: there is no whole number from 0\.4 to 0\.6"):
+        Study.load(study(tmp_path, none), tmp_path / "other")

@@ -266,6 +266,18 @@ def test_many_rows_become_parts_and_one_file(tmp_path: Path, monkeypatch: pytest
     assert sorted(keys) == sorted(r.key for r in made.runs()) and not (made.out / "parts").exists()
 
 
+@pytest.mark.parametrize("name", ["1²", "1٣", "1 copy", "7"])
+def test_parts_of_any_name_are_read(name: str, tmp_path: Path) -> None:
+    """Digits that Python's numbers do not have, and copies. Truth: the keys of all runs."""
+    made = Study.load(study(tmp_path, TEXT.replace("300-309", "300-301")), tmp_path / "out")
+    made.run(workers=0)
+    (made.out / "parts").mkdir()
+    (made.out / "runs.parquet").rename(made.out / "parts" / f"{name}.parquet")
+    more = Study.load(study(tmp_path, TEXT.replace("300-309", "300-302")), tmp_path / "out")
+    more.run(workers=0)
+    assert len(more.table()) == 6 and not (made.out / "parts").exists()
+
+
 def test_reports_of_failed_runs_are_kept(tmp_path: Path) -> None:
     made = Study.load(study(tmp_path, TEXT + "files: failed\n"), tmp_path / "out")
     made.run(workers=0)

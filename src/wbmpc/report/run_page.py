@@ -6,6 +6,7 @@ import html
 import json
 import math
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,10 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, Real) and not isinstance(
+        value, int | float
+    ):  # a fraction; NumPy's longer floats are their own items
+        value = float(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -90,6 +91,17 @@ class Search(_Bounds):
     numbers only."""
 
     whole: bool = False
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """The least and the largest whole number of the range."""
+        return math.ceil(self.low), math.floor(self.high)
+
+    @model_validator(mode="after")
+    def _some_are_whole(self) -> Self:
+        if self.whole and self.ends[0] > self.ends[1]:
+            raise ValueError(f"whole: there is no whole number from {self.low:g} to {self.high:g}")
+        return self
 
 
 def _axis(value: Any) -> Any:

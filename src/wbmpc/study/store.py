@@ -160,7 +160,7 @@ class Store:
             return
         parts = self.folder / PARTS
         parts.mkdir(exist_ok=True)
-        number = 1 + max((int(p.stem) for p in parts.glob("[0-9]*.parquet") if p.stem.isdigit()), default=0)
+        number = 1 + max((int(p.stem) for p in parts.glob("[0-9]*.parquet") if p.stem.isdecimal()), default=0)
         with whole_file(parts / f"{number:06d}.parquet", follow=False) as partial:
             parquet().write_table(table_of(rows), partial)
         self._close()
@@ -203,6 +203,18 @@ class Store:
         with suppress(OSError):
             (self.folder / PARTS).rmdir()
         return target
+
+    def keep(self, combinations: set[str]) -> None:
+        """Remove the rows of all other combinations. Raises :class:`NotWritten`."""
+        import pyarrow
+
+        if all(combination_of(key) in combinations for key in self.outcomes()):
+            return
+        self.finish()
+        table = self.table()
+        wanted = [combination_of(key) in combinations for key in table["key"].to_pylist()]
+        with whole_file(self.folder / ROWS, follow=False) as partial:
+            parquet().write_table(table.filter(pyarrow.array(wanted)), partial)
 
     def table(self, columns: list[str] | None = None) -> pyarrow.Table:
         """All rows that are in Parquet; see :meth:`finish`."""

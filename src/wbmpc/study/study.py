@@ -81,10 +81,12 @@ class Study:
         with Later(workers, scheduler) as there:
             return self._run_in(there, progress)
 
-    def _run_in(self, there: Pool, progress: Progress | None = None) -> Summary:
-        """Do the runs in a pool that is there; see :meth:`run`."""
+    def _run_in(self, there: Pool, progress: Progress | None = None, replace: bool = False) -> Summary:
+        """Do the runs in a pool that is there; see :meth:`run`. ``replace``: runs of other settings are removed from ``out``."""
         found = self.combinations
         with Store(self.out) as store:
+            if replace:
+                store.keep({c.key for c in found})
             reject_others(self.out, found, store.outcomes())
             remember(self.out, self.definition.title, found, self.planned)
             with store.finishing():
@@ -142,7 +144,7 @@ class Study:
         }
         more = {"conditions": {**before, **after}, "compare_with": next(iter(before)), "tune": None}
         compared = Study(self.definition.model_copy(update=more), self.path, self.out / "report")
-        return compared._run_in(there, progress)
+        return compared._run_in(there, progress, replace=True)  # more trials may have found better settings
 
     def _write_tuned(self, tuned: Tuned) -> None:
         """best.yaml, trials.json, and the page."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wbmpc.errors import InputError, NotWritten
+from wbmpc.errors import InputError
+from wbmpc.study.database import check_trial, using_database
 from wbmpc.study.definition import Definition, Search, Term, Tuning
 from wbmpc.study.files import DATABASE
 from wbmpc.study.plan import Run, check_inputs, combinations
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
 
 #: Trials in a row whose settings the experiments may reject.
 MAX_REJECTED = 100
-#: What SQLite says of a disk without room.
-FULL = "disk is full"
 
 
 def _optuna() -> Any:
@@ -123,24 +123,19 @@ class Tuner:
             "random": lambda: optuna.samplers.RandomSampler(seed=t.sampler_seed),
         }
         pruner = optuna.pruners.MedianPruner(n_startup_trials=10) if t.prune else optuna.pruners.NopPruner()
-        found = optuna.create_study(
-            storage=self._storage(), study_name=self.definition.title or "tune", sampler=makers[t.sampler](), pruner=pruner, load_if_exists=True,
-            directions=["minimize"] * (len(t.minimize) if t.pareto else 1),
-        )  # fmt: skip
-        self._check_searched(found)
+        address = t.storage or f"sqlite:///{(self.out / DATABASE).resolve()}"
+        with self._database():
+            found = optuna.create_study(
+                storage=optuna.storages.get_storage(address), study_name=self.definition.title or "tune", sampler=makers[t.sampler](),
+                pruner=pruner, load_if_exists=True, directions=["minimize"] * (len(t.minimize) if t.pareto else 1),
+            )  # fmt: skip
+            self._check_searched(found)
         return found
 
-    def _storage(self) -> Any:
-        address = self.tuning.storage or f"sqlite:///{(self.out / DATABASE).resolve()}"
-        try:
-            return _optuna().storages.get_storage(address)
-        except Exception as error:  # of Optuna, of SQLAlchemy, of any driver
-            why = str(error).splitlines()[0] if str(error) else type(error).__name__
-            if not self.tuning.storage and FULL in why:
-                raise NotWritten(
-                    f"{self.out / DATABASE}: cannot be written ({why}); the same command continues"
-                ) from error
-            raise InputError(f"{self.where}: tune.storage: '{address}' cannot be opened ({why})") from error
+    def _database(self) -> AbstractContextManager[None]:
+        """Whatever is wrong with the database is one message; around what Optuna does, and nothing else."""
+        storage = self.tuning.storage
+        return using_database(f"{self.where}: tune.storage: '{storage}'" if storage else str(self.out / DATABASE))
 
     def _check_searched(self, found: optuna.Study) -> None:
         """Trials of other ranges or seeds do not go with these."""
@@ -150,7 +145,8 @@ class Tuner:
         if was is None:
             found.set_user_attr("search", json.loads(json.dumps(what)))
         elif was != json.loads(json.dumps(what)):
-            different = ", ".join(k for k in what if was.get(k) != json.loads(json.dumps(what[k])))
+            known = was if isinstance(was, dict) else {}
+            different = ", ".join(k for k in what if known.get(k) != json.loads(json.dumps(what[k])))
             raise InputError(
                 f"{self.out}: its {len(found.trials)} trials are of another search ({different}); change the study back, or give "
                 "another --out"
@@ -164,7 +160,14 @@ class Tuner:
     def finished(self) -> list[optuna.trial.FrozenTrial]:
         """Trials that came to their end, or were pruned."""
         state = _optuna().trial.TrialState
-        return self._found.get_trials(deepcopy=False, states=(state.COMPLETE, state.PRUNED))
+        return self._ended_as(state.COMPLETE, state.PRUNED)
+
+    def _ended_as(self, *states: optuna.trial.TrialState) -> list[optuna.trial.FrozenTrial]:
+        with self._database():
+            found = self._found.get_trials(deepcopy=False, states=states)
+            for trial in found:
+                check_trial(trial, self.tuning)
+        return found
 
     def run(self, there: Pool, store: Store, progress: Callable[[float, str], None] | None) -> None:
         """Do the trials that are left, as many at a time as keep the pool at work."""
@@ -192,22 +195,25 @@ class Tuner:
 
     def _requeue(self) -> None:
         """Trials that were going on when a process was killed are restarted with their settings."""
-        optuna = _optuna()
-        for old in self._found.get_trials(deepcopy=False, states=(optuna.trial.TrialState.RUNNING,)):
-            self._found.tell(old.number, state=optuna.trial.TrialState.FAIL)
-            self._found.enqueue_trial(old.params)
+        state = _optuna().trial.TrialState
+        with self._database():
+            for old in self._found.get_trials(deepcopy=False, states=(state.RUNNING,)):
+                self._found.tell(old.number, state=state.FAIL)
+                self._found.enqueue_trial(old.params)
 
     def _begin(self) -> Trial:
         """A trial of settings that the experiments take; some ranges allow others too."""
         for _ in range(MAX_REJECTED):
-            trial = self._found.ask()
-            changes = {key: _suggested(trial, key, s) for key, s in self.tuning.search.items()}
+            with self._database():
+                trial = self._found.ask()
+                changes = {key: _suggested(trial, key, s) for key, s in self.tuning.search.items()}
             try:
                 tried = combinations(with_settings(self.definition, changes), self.folder, self.where)
                 check_inputs(tried, self.where)
             except InputError as error:
                 rejected = error
-                self._found.tell(trial, state=_optuna().trial.TrialState.FAIL)
+                with self._database():
+                    self._found.tell(trial, state=_optuna().trial.TrialState.FAIL)
                 continue
             return Trial(trial, changes, [[Run(c, seed) for c in tried] for seed in self.tuning.seeds])
         raise rejected
@@ -233,17 +239,18 @@ class Tuner:
 
     def _ended(self, trial: Trial) -> bool:
         """Report a trial whose runs are done; false where those of the next seed shall follow."""
-        optuna = _optuna()
         values = [value_of(term, trial.rows) for term in self.tuning.minimize]
-        if trial.waiting:
-            trial.trial.report(sum(values), len(self.tuning.seeds) - len(trial.waiting))
-            if not trial.trial.should_prune():
-                return False
-            self._found.tell(trial.trial, state=optuna.trial.TrialState.PRUNED)
-            return True
-        for name, value in broken(self.tuning, trial.rows).items():
-            trial.trial.set_constraint(name, value)
-        self._found.tell(trial.trial, values if self.tuning.pareto else sum(values))
+        breaks = {} if trial.waiting else broken(self.tuning, trial.rows)
+        with self._database():
+            if trial.waiting:
+                trial.trial.report(sum(values), len(self.tuning.seeds) - len(trial.waiting))
+                if not trial.trial.should_prune():
+                    return False
+                self._found.tell(trial.trial, state=_optuna().trial.TrialState.PRUNED)
+                return True
+            for name, value in breaks.items():
+                trial.trial.set_constraint(name, value)
+            self._found.tell(trial.trial, values if self.tuning.pareto else sum(values))
         return True
 
     def _text(self) -> str:
@@ -253,9 +260,7 @@ class Tuner:
     def best(self) -> list[optuna.trial.FrozenTrial]:
         """The best trial that keeps the constraints; with ``pareto`` the front: those that no other beats in every objective, the least
         sum of the objectives first. Empty where none keeps them."""
-        state = _optuna().trial.TrialState.COMPLETE
-        ended = self._found.get_trials(deepcopy=False, states=(state,))
-        fine = [t for t in ended if feasible(t)]
+        fine = [t for t in self._ended_as(_optuna().trial.TrialState.COMPLETE) if feasible(t)]
         if not self.tuning.pareto:
             return sorted(fine, key=lambda t: t.values[0])[:1]
         beaten = lambda t: any(all(a <= b for a, b in zip(o.values, t.values)) and o.values != t.values for o in fine)
@@ -288,7 +293,7 @@ def _suggested(trial: optuna.trial.Trial, key: str, search: Any) -> Any:
         # Optuna keeps numbers, texts and truths, no lists
         return _setting(search, trial.suggest_categorical(key, [json.dumps(v) for v in search]))
     if search.whole:
-        return _setting(search, trial.suggest_int(key, round(search.low), round(search.high), log=search.log))
+        return _setting(search, trial.suggest_int(key, *search.ends, log=search.log))
     return _setting(search, trial.suggest_float(key, search.low, search.high, log=search.log))
 
 
