@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -83,7 +82,7 @@ class UserCommands:
     @property
     def _controller(self) -> RobotController:
         assert self.running.controller is not None, "commands go to runs with a controller"
-        return cast(RobotController, self.running.controller)
+        return self.running.controller
 
     @property
     def _planner(self) -> MPC:
