@@ -77,24 +77,24 @@ class Loads(NamedTuple):
     weighs: bool  # whether there is a payload
 
 
-class Leaning(NamedTuple):
+class Leans(NamedTuple):
     """How far a robot leans under these, with its divergent component."""
 
-    lean: Lean
+    offsets: Lean
     falls: Component
     has_lean: bool  # whether there is a lean
 
 
 @MODEL.step
 def learn(
-    model: Model, loads: Loads, leaning: Leaning, by: Inertia, at: Parameters, nu: int, rows: Floats, row: int, started: bool,
+    model: Model, loads: Loads, lean: Leans, by: Inertia, at: Parameters, nu: int, rows: Floats, row: int, started: bool,
     t: float, h: float, forwards: bool,
 ) -> tuple[float, bool]:  # fmt: skip
-    """``loads`` and ``leaning`` after a state at t [s], h [s] after the one before (``started``: there was one), under the torques (nu) in a
+    """``loads`` and ``lean`` after a state at t [s], h [s] after the one before (``started``: there was one), under the torques (nu) in a
     ``row``; ``forwards``: the solver gets them as its model's parameters, and zero for all others. Returns how much of a constant
     disturbance that can have learned, and whether all is finite: the solver gets nothing else."""
-    n, force, load, leans = loads.disturbance.size, loads.disturbance.force, loads.payload.load, leaning.lean.leans
-    given, found = leaning.falls.given, leaning.falls.found
+    n, force, load, leans = loads.disturbance.size, loads.disturbance.force, loads.payload.load, lean.offsets.leans
+    given, found = lean.falls.given, lean.falls.found
     for i in range(nu):
         model.acted[i] = rows[row * nu + i]
     if not started:
@@ -116,14 +116,14 @@ def learn(
         for i in range(n):
             loads.payload.weight[i] = by.inertial[n * n + i]
         update_mass(loads.disturbance, loads.payload, learning, h)
-    if leaning.has_lean:
-        lean_offsets(leaning.lean, force, model.state[2])
-        if leaning.falls.component != 0:
+    if lean.has_lean:
+        lean_offsets(lean.offsets, force, model.state[2])
+        if lean.falls.component != 0:
             for i in range(2 * n):
                 given[i] = model.state[i]
             given[2 * n], given[2 * n + 1], given[2 * n + 2] = load[Load.MASS], 0.0, 0.0
             by.places[0], by.places[1] = given.ctypes.data, found.ctypes.data
-            call2(leaning.falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
+            call2(lean.falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
             leans[4], leans[5] = found[0] + leans[0], found[1] + leans[1]
     finite = np.isfinite(load[Load.MASS])
     for i in range(n):
