@@ -118,9 +118,10 @@ def closed_loop(
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home; ``seed`` of all random numbers.
 
     Recorded every 10 ms: the end effector, its reference (of the cost "end_effector", where there is one) and its error, the base and its
-    estimate, joints, inputs. ``since`` [s]: from then on errors count. ``reshape``: legs stand wider where the arm pulls, of a base whose
-    legs move and an ``mpc`` with the constraints "stability"; among obstacles a base changes its shape where references are paced. The
-    references of ``mpc`` are the task; times begin with the loop. Raises :class:`InputError` for bad settings.
+    estimate, joints, inputs. ``since`` [s]: from then on errors count. ``hooks``: what a task adds. ``around``: what the robot is among.
+    ``reshape``: legs stand wider where the arm pulls, of a base whose legs move and an ``mpc`` with the constraints "stability"; among
+    obstacles a base changes its shape where references are paced. The references of ``mpc`` are the task; times begin with the loop. Raises
+    :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
