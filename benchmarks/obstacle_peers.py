@@ -35,7 +35,7 @@ from wbmpc.robots import load_spec
 from wbmpc.simulation.contacts import FIXED, enable
 from wbmpc.simulation.obstacles import SimulatedObstacles
 from wbmpc.tasks.following import Task
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Surroundings, closed_loop
 from wbmpc.tasks.obstacles import Among, static_scene
 
 Array = np.ndarray
@@ -98,7 +98,9 @@ def by_mpc(job: Job, name: str, barrier: RelaxedBarrier | None) -> Figures:
         mpc = MPC(mpc.ocp, mpc.solver.settings, mpc.rate, guess=mpc.guess, obstacles=mpc.obstacles)
         for term, reference in job.references.items():
             mpc.reference[term] = reference
-    scenario = closed_loop(job.robot, mpc, job.end, job.seed, job.settings, since=job.since, scene=job.scene)
+    scenario = closed_loop(
+        job.robot, mpc, job.end, job.seed, job.settings, since=job.since, around=Surroundings(job.scene)
+    )
     run = run_parts(scenario)
     log = scenario.log
     counted = log.times("end_effector") >= job.since

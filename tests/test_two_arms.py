@@ -113,6 +113,11 @@ def test_two_tips_hold_one_thing(twins: Path) -> None:
         (("arms:", "arm: {joints: [l1], tool: l_tip}\narms:"), "with several arms there is no key 'arm'"),
         (("tool: r_tip", "tool: r_top"), r"frame \(key 'arms\.right\.tool'\).*r_top.*r_tip"),
         (("[r1, r2, r3]", "[l1, r2, r3]"), "every joint once, got 'l1' twice"),
+        (
+            ("tool: r_tip", "tool: r_tip, toll: 1"),
+            r"unknown key 'arms\.right\.toll' .did you mean 'arms\.right\.tool'.*arms\.right\.joints",
+        ),
+        (("tool: r_tip", "tool: yes"), r"key 'arms\.right\.tool': a number or text is needed, not true or false"),
     ],
 )
 def test_faults_name_the_key(twins: Path, change: tuple[str, str], words: str) -> None:

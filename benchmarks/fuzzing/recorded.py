@@ -18,7 +18,7 @@ DEFINITION_NAMES = sorted(DEFINITIONS)
 
 
 @cache
-def _recording(kind: str = "", other: str = "", topic: str = "/end_effector/pose") -> bytes:
+def _recording(kind: str = "", other: str = "", topic: str = "/ground_truth/end_effector") -> bytes:
     """A small whole recording. Of a ``kind`` that is given there are messages on /mixed whose bytes are those of an ``other``."""
     import tempfile
 

@@ -102,6 +102,8 @@ if TYPE_CHECKING:  # what type checkers see; a test compares it with the table b
     from wbmpc.solver import Status as Status
     from wbmpc.solver import Trajectory as Trajectory
     from wbmpc.study.study import Study as Study
+    from wbmpc.tasks.loop import Hooks as Hooks
+    from wbmpc.tasks.loop import Surroundings as Surroundings
     from wbmpc.tasks.loop import closed_loop as closed_loop
     from wbmpc.tasks.settings import SimulationSettings as SimulationSettings
     from wbmpc.tasks.settings import TaskSettings as TaskSettings
@@ -162,7 +164,7 @@ _NAMES = {
     "wbmpc.simulation.perturbation": "Perturbation",
     "wbmpc.solver": "ILQR InteriorPoint SLQ SQP Solution Solver Status Trajectory",
     "wbmpc.study.study": "Study",
-    "wbmpc.tasks.loop": "closed_loop",
+    "wbmpc.tasks.loop": "Hooks Surroundings closed_loop",
     "wbmpc.tasks.settings": "SimulationSettings TaskSettings",
     "wbmpc.tasks.simulation": "simulate",
     "wbmpc.types": "Edit Observation SimulatedRobot Timing Truth",

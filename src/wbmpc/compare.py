@@ -34,7 +34,9 @@ _PLACES = (
     ("force", ("x", "y", "z"), "NNN"),
 )  # fmt: skip
 #: Topics whose numbers are compared where a run left no log.
-_SIGNALS = ("/end_effector/", "/odom", "/command/", "/joint_states", "/mpc/")
+_SIGNALS = (
+    "/end_effector_pose", "/end_effector_reference", "/ground_truth/", "/odom", "/command/", "/joint_states", "/mpc/",
+)  # fmt: skip
 
 #: Differences that are a smaller share of the figure are of its last digits.
 ROUNDING = 1e-12

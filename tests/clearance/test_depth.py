@@ -10,7 +10,7 @@ from test_nearest import by_mujoco, drawn, rotation
 
 from effort import draws
 from wbmpc.clearance.depth_step import Hull, depth, hull_arrays, write_depth
-from wbmpc.clearance.pairs_step import Gaps, gap
+from wbmpc.clearance.pairs_step import Body, Gaps, gap
 from wbmpc.clearance.simplex_step import Work
 from wbmpc.clearance.support_step import Solids
 from wbmpc.obstacles.solids import KINDS, Solid
@@ -35,11 +35,12 @@ def measured(
         np.zeros(40),
     )
     gaps, hull = Gaps(*(np.zeros(3) for _ in range(4))), Hull(**hull_arrays())
-    d = gap(solids, 0, 1, places, 0, turns, 0, places, 3, turns, 9, 10.0, work)
+    a, b = Body(0, places, 0, turns, 0), Body(1, places, 3, turns, 9)
+    d = gap(solids, a, b, 10.0, work)
     if d > -np.inf:
         return d, work[Work.V : Work.V + 3], np.zeros(3), np.zeros(3)
-    d = depth(solids, 0, 1, 0, 3, places, turns, hull, work)
-    write_depth(solids, gaps, 0, places, 0, d, 0, work)
+    d = depth(solids, a, b, hull, work)
+    write_depth(solids, gaps, a, d, 0, work)
     return d, gaps.normal, gaps.own, gaps.other
 
 

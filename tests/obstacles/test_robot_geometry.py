@@ -31,6 +31,7 @@ from wbmpc.obstacles.pairs import (
 )
 from wbmpc.obstacles.solids import Solid
 from wbmpc.ocp.clearance_residuals import SELF_WIDTH, SelfClearance
+from wbmpc.ocp.scaling import telescopes
 
 
 @contextmanager
@@ -128,10 +129,20 @@ def test_shapes_by_hand(tmp_path: Path) -> None:
             ("collision.shapes.0.frame", "nose", "tip"),
         ),
         ("collision: {shapes: [{frame: tip, kind: cone, radius: 0.1}]}", ("collision.shapes.0.kind", "sphere")),
-        ("collision: {shapes: [{frame: tip, kind: sphere}]}", ("collision.shapes", "'radius'")),
+        ("collision: {shapes: [{frame: tip, kind: sphere}]}", ("collision.shapes.0.radius", "required")),
+        ("collision: {shapes: [{frame: tip, radius: 0.1}]}", ("collision.shapes.0.kind", "required")),
+        ("collision: {shapes: [{frame: tip, kind: sphere, radius: yes}]}", ("collision.shapes.0.radius", "not true")),
+        (
+            "collision: {shapes: [{frame: tip, kind: cylinder, radius: 0.1, a: [0, 0, 1], b: [0, 0, 1]}]}",
+            ("'collision.shapes.0'", "two points that differ"),
+        ),
+        (
+            "collision: {shapes: [{frame: tip, kind: box, half: [1, 1, 1], orientation: [1, 1, 0, 0]}]}",
+            ("'collision.shapes.0.orientation'", "unit quaternion"),
+        ),
         (
             "collision: {shapes: [{frame: tip, kind: sphere, radius: 0.1, half: [1, 1, 1]}]}",
-            ("'half'", "valid: radius"),
+            ("'collision.shapes.0.half'", "valid: ", "collision.shapes.0.radius"),
         ),
         ("collision: {margin: -1}", ("collision.margin", "-1")),
         ("collision: {margins: 1}", ("collision.margins", "margin")),
@@ -275,6 +286,7 @@ def test_sections_of_a_telescope_go_into_each_other(tmp_path: Path, second: str,
         "limits: {velocity: {l: 10, r: 10, a: 1, b: 1, c: 1}}\n"
     )
     robot = load_robot(tmp_path / "robot.yaml")
+    assert telescopes(robot) == ([[0, 1, 2]] if nested else [])
     assert (("tube", "tip") in propose_pairs(robot, 300).adjacent) == nested
     assert (("tube", "tip") in list_pairs(robot, 300).pairs) != nested
     plant = base_type("differential").plant(robot, Perturbation.none(), 0)

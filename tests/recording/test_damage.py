@@ -33,7 +33,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file.attach("scene", {"bodies": list(range(40))})
     for k, pose in enumerate(POSES):
         header = {"stamp": stamp(0.01 * k), "frame_id": "odom"}
-        file.put("/end_effector/pose", "geometry_msgs/PoseStamped", 0.01 * k, {"header": header, "pose": pose})
+        file.put("/ground_truth/end_effector", "geometry_msgs/PoseStamped", 0.01 * k, {"header": header, "pose": pose})
         joints = {"header": header, "name": ["a", "b"], "position": pose[:2], "velocity": [], "effort": []}
         file.put("/joint_states", "sensor_msgs/JointState", 0.01 * k, joints)
         file.put("/mode", "std_msgs/String", 0.01 * k, {"data": f"mode {k}"})
@@ -111,7 +111,7 @@ def test_only_the_damaged_chunk_is_lost(whole: Path, tmp_path: Path, caplog: pyt
     found, all_of_it = read_recording(path), read_recording(whole)
     assert found.complete and len(found.damage) == 2  # the chunk's own checksum, and the whole file's
     assert set(found.topics) == set(all_of_it.topics)
-    assert len(found["/end_effector/pose"].data) < len(all_of_it["/end_effector/pose"].data)
+    assert len(found["/ground_truth/end_effector"].data) < len(all_of_it["/ground_truth/end_effector"].data)
     for name, topic in found.topics.items():
         lost = len(all_of_it[name].data) - len(topic.data)
         assert lost < 20 and topic.data == all_of_it[name].data[lost:]
@@ -170,10 +170,12 @@ def test_topics_that_are_read_by_name_are_recorded() -> None:
 def test_a_message_that_is_none_of_its_type_names_file_and_topic(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = McapFile(path)
-    file.put_bytes("/end_effector/pose", "geometry_msgs/PoseStamped", 0.0, b"\0\1\0\0\xff\xff\xff\x7f")
+    file.put_bytes("/ground_truth/end_effector", "geometry_msgs/PoseStamped", 0.0, b"\0\1\0\0\xff\xff\xff\x7f")
     file.close()
-    with pytest.raises(InputError, match=rf"^{path}: /end_effector/pose: 8 bytes are no geometry_msgs/PoseStamped: "):
-        read_recording(path).table("/end_effector/pose")
+    with pytest.raises(
+        InputError, match=rf"^{path}: /ground_truth/end_effector: 8 bytes are no geometry_msgs/PoseStamped: "
+    ):
+        read_recording(path).table("/ground_truth/end_effector")
 
 
 def test_joints_without_their_numbers_name_file_and_topic(tmp_path: Path) -> None:

@@ -47,9 +47,9 @@ def run(tmp_path: Path) -> Path:
     )
     file.put("/tf", "tf2_msgs/TFMessage", 0.0, {"transforms": [link]})
     file.put("/joint_states", "sensor_msgs/JointState", 0.0, joints)
-    for topic in ("/end_effector/pose_odom", "/end_effector/reference"):
+    for topic in ("/end_effector_pose", "/end_effector_reference"):
         file.put(topic, "geometry_msgs/PoseStamped", 0.0, {"header": header(0.0, "odom"), "pose": pose})
-    for topic in ("/plan", "/plan/end_effector"):
+    for topic in ("/plan", "/end_effector_plan"):
         file.put(topic, "nav_msgs/Path", 0.0, path)
     file.put("/robot_description", "std_msgs/String", 0.0, {"data": "<robot/>"})
     file.put("/mpc/solve_time", "std_msgs/Float64", 0.0, [0.001])
@@ -92,6 +92,9 @@ def test_a_recording_with_nothing_to_show_is_an_error(tmp_path: Path) -> None:
         layout(read_recording(tmp_path))
 
 
+POSES = ("/end_effector_reference", "/ground_truth/end_effector")
+
+
 def test_every_setting_is_one_that_foxglove_documents(run: Path) -> None:
     """A key that it does not know is ignored without a word."""
     panels = layout(read_recording(run))["configById"]
@@ -101,8 +104,8 @@ def test_every_setting_is_one_that_foxglove_documents(run: Path) -> None:
         "ThreeDeeConfig": [picture], "ThreeDeeCameraState": [picture["cameraState"]],
         "BaseRendererSceneSettings": [picture["scene"]], "BaseRendererTransforms": [picture["scene"]["transforms"]],
         "BaseRendererGridLayerSettings": [picture["layers"]["grid"]], "BaseRendererUrdfLayerSettings": [picture["layers"]["robot"]],
-        "BaseRendererPosesTopicSettings": [s for topic, s in picture["topics"].items() if topic.startswith("/plan")],
-        "BaseRendererPoseTopicSettings": [s for topic, s in picture["topics"].items() if topic.startswith("/end_effector/")],
+        "BaseRendererPosesTopicSettings": [s for topic, s in picture["topics"].items() if topic.endswith("plan")],
+        "BaseRendererPoseTopicSettings": [s for topic, s in picture["topics"].items() if topic in POSES],
     }  # fmt: skip
     found["PlotSeries"] = [s for plot in found["PlotConfig"] for s in plot["paths"]]
     for kind, parts in found.items():

@@ -28,8 +28,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     file.metadata("run", {"experiment": "toy", "seed": 7, "started": "then"})
     for t, pose, speed in zip(TIMES, POSES, SPEEDS, strict=True):
         header = {"stamp": stamp(t), "frame_id": "odom"}
-        file.put("/end_effector/pose_odom", "geometry_msgs/PoseStamped", t, {"header": header, "pose": pose})
-        file.put("/end_effector/reference", "geometry_msgs/PoseStamped", t, {"header": header, "pose": 0.0 * pose})
+        file.put("/end_effector_pose", "geometry_msgs/PoseStamped", t, {"header": header, "pose": pose})
+        file.put("/end_effector_reference", "geometry_msgs/PoseStamped", t, {"header": header, "pose": 0.0 * pose})
         joints = {"header": header, "name": ["a", "b"], "position": [], "velocity": speed, "effort": []}
         file.put("/joint_states", "sensor_msgs/JointState", t, joints)
         file.put("/mpc/solve_time", "std_msgs/Float64", t, [1e-3 * t])
@@ -65,7 +65,7 @@ def test_info_of_a_killed_run(run: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_csv_has_every_digit(run: Path) -> None:
     assert main(["log", "export", ".", "--out", "tables"]) == 0
-    with (run / "tables" / "end_effector_pose_odom.csv").open() as file:
+    with (run / "tables" / "end_effector_pose.csv").open() as file:
         rows = list(csv.DictReader(file))
     names = [*(f"position.{a}" for a in "xyz"), *(f"orientation.{a}" for a in "xyzw")]
     np.testing.assert_array_equal([[float(r[f"pose.{n}"]) for n in names] for r in rows], POSES)
@@ -164,7 +164,7 @@ BAD = {
         "export",
         ".",
         "/end_effector/pose",
-    ): "unknown topic '/end_effector/pose' (did you mean '/end_effector/pose_odom'?)",
+    ): "unknown topic '/end_effector/pose' (did you mean '/end_effector_pose'?)",
     ("log", "plot", ".", "/mode"): "topic '/mode' holds no numbers to plot",
 }
 

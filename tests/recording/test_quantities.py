@@ -20,7 +20,7 @@ from wbmpc.simulation.scene import joint_units
         ("/odom", "nav_msgs/Odometry", "pose.pose.position.x", "m"),
         ("/odom", "nav_msgs/Odometry", "twist.twist.angular.z", "rad/s"),
         ("/contact/foot", "geometry_msgs/WrenchStamped", "wrench.force.z", "N"),
-        ("/end_effector/pose", "geometry_msgs/PoseStamped", "pose.orientation.w", "1"),
+        ("/ground_truth/end_effector", "geometry_msgs/PoseStamped", "pose.orientation.w", "1"),
         ("/mpc/solve_time", "std_msgs/Float64", "data", "s"),
         ("/measured/accel", "std_msgs/Float64MultiArray", "data.0", "m/s²"),
         ("/theirs", "std_msgs/Float64", "data", ""),

@@ -84,14 +84,14 @@ def test_hand_and_encoders_are_those_of_the_archive(track: Path) -> None:
     with np.load(track / "log.npz") as log:
         # of the reference the recording has what the MPC is given: samples of 20 ms, joined by lines
         for topic, channel, apart in (
-            ("/end_effector/pose", "hand", 1e-12),
-            ("/end_effector/reference", "hand_reference", 2e-4),
+            ("/ground_truth/end_effector", "hand", 1e-12),
+            ("/end_effector_reference", "hand_reference", 2e-4),
         ):
             t, p = poses(track, topic)
             np.testing.assert_allclose(t, log[f"{channel}.time"], atol=1e-9)
             np.testing.assert_allclose(p, log[channel], atol=apart)
         # the archive takes the true height, the recording that of the estimate
-        np.testing.assert_allclose(poses(track, "/end_effector/pose_odom")[1], log["hand_odometry"], atol=2e-3)
+        np.testing.assert_allclose(poses(track, "/end_effector_pose")[1], log["hand_odometry"], atol=2e-3)
         for topic, channel in (
             ("/measured/arm", "arm"),
             ("/measured/steer", "steer"),
@@ -150,7 +150,7 @@ def test_recorded_frames_and_the_description_are_one_tree(
     while frame in frames:
         p, r = place(frames[frame].transform)
         at, turn, frame = p + r @ at, r @ turn, frames[frame].header.frame_id
-    times, hands = poses(folder, "/end_effector/pose")
+    times, hands = poses(folder, "/ground_truth/end_effector")
     when = [t for t, _ in messages(folder, "/tf")][-1]
     np.testing.assert_allclose(at, hands[np.argmin(np.abs(times - when))], atol=1e-6)
 
@@ -159,7 +159,7 @@ def test_plans_go_ahead_of_the_hand(track: Path) -> None:
     """The plan's end effector starts where the end effector is soon after, and ends where it is a horizon later."""
     with np.load(track / "log.npz") as log:
         times, end_effector = log["hand.time"], log["hand_odometry"]
-    t, plan = next((t, m) for t, m in messages(track, "/plan/end_effector") if t > 2.0)
+    t, plan = next((t, m) for t, m in messages(track, "/end_effector_plan") if t > 2.0)
     first, last = plan.poses[0].pose.position, plan.poses[-1].pose.position  # type: ignore[attr-defined]
     at = lambda when: np.array([np.interp(when, times, end_effector[:, i]) for i in range(3)])
     assert np.linalg.norm([first.x, first.y, first.z] - at(t + 0.03)) < 0.02
@@ -195,7 +195,7 @@ def test_contacts_agree_with_the_force_sensors() -> None:
 def test_the_ball_robot_is_recorded_from_the_floor_up(ball: Path) -> None:
     radius = 0.125
     with np.load(ball / "log.npz") as log:
-        t, end_effector = poses(ball, "/end_effector/pose")
+        t, end_effector = poses(ball, "/ground_truth/end_effector")
         every = np.isin(np.round(log["hand.time"], 9), np.round(t, 9))
         np.testing.assert_allclose(end_effector - [0, 0, radius], log["hand"][every], atol=1e-12)
         torque = np.array([m.data for _, m in messages(ball, "/command/torque")])  # type: ignore[attr-defined]
@@ -286,9 +286,9 @@ def test_a_killed_run_leaves_a_readable_file(tmp_path: Path) -> None:
     with path.open("rb") as file, pytest.raises(Exception):  # noqa: B017 - the end is missing
         for schema, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
             assert schema is not None
-            if channel.topic == "/end_effector/pose":
+            if channel.topic == "/ground_truth/end_effector":
                 end_effector.append(STORE.deserialize_cdr(message.data, schema.name).pose.position.x)
-    ours = recording.table("/end_effector/pose").columns["pose.position.x"]
+    ours = recording.table("/ground_truth/end_effector").columns["pose.position.x"]
     np.testing.assert_array_equal(ours, end_effector)
 
 
@@ -335,8 +335,8 @@ def test_a_run_without_an_mpc_is_recorded(tmp_path: Path) -> None:
     recorder.tick(0.0, SwerveCommand.stop(), part.plans)
     recorder.close({"completed": "true"})
     topics = read_recording(tmp_path).topics
-    assert {"/joint_states", "/end_effector/pose", "/tf"} <= set(topics)
-    assert not any(name.startswith(("/mpc", "/plan", "/end_effector/reference")) for name in topics)
+    assert {"/joint_states", "/ground_truth/end_effector", "/tf"} <= set(topics)
+    assert not any(name.startswith(("/mpc", "/plan", "/end_effector_reference")) for name in topics)
 
 
 class _Seen(Exception):

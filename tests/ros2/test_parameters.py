@@ -199,6 +199,20 @@ def test_log_lines_are_on_rosout_for_late_joiners_too(pair: Callable[..., Any]) 
     assert rosout_handlers() <= others
 
 
+def sent(pair: Callable[..., Any], last: str, *records: logging.LogRecord) -> list[Any]:
+    """The lines on /rosout when a node has handled these, the ``last`` one among them."""
+    others, lines = rosout_handlers(), list[Any]()
+    p = pair()
+    p.ready()
+    p.standin.node.subscribe("/rosout", "rcl_interfaces/msg/Log", lines.append, Qos(latched=True, depth=100))
+    (handler,) = rosout_handlers() - others
+    for record in records:
+        handler.handle(record)
+    p.run(0.1)
+    assert wait_until(lambda: any(last in m.msg for m in lines))
+    return lines
+
+
 class Silent:
     """A user's fault whose message cannot be written."""
 
@@ -208,32 +222,22 @@ class Silent:
 
 def test_no_line_stops_who_logs_it_and_names_that_are_no_text_are_readable(pair: Callable[..., Any]) -> None:
     """Who logs may be the control thread. Truth: Python's own handlers raise nothing; a name with a byte that is not UTF-8."""
-    others = rosout_handlers()
-    p = pair()
-    p.ready()
-    lines: list[Any] = []
-    p.standin.node.subscribe("/rosout", "rcl_interfaces/msg/Log", lines.append, Qos(latched=True, depth=100))
-    (handler,) = rosout_handlers() - others
-    for k, (words, given) in enumerate((("%s slips", Silent()), ("%d", "7"), ("scene %s", os.fsdecode(b"caf\xe9")))):
-        handler.handle(logging.LogRecord("wbmpc", logging.ERROR, "x.py", k, words, (given,), None))
-    p.run(0.1)
-    assert wait_until(lambda: any("scene" in m.msg for m in lines))
-    said = [m.msg for m in lines if m.line < 3]
+    given = (("%s slips", Silent()), ("%d", "7"), ("scene %s", os.fsdecode(b"caf\xe9")))
+    records = [
+        logging.LogRecord("wbmpc", logging.ERROR, "x.py", k, text, (part,), None)
+        for k, (text, part) in enumerate(given)
+    ]
+    said = [m.msg for m in sent(pair, "scene", *records) if m.line < 3]
     assert said == ["%s slips (its text cannot be made)", "%d (its text cannot be made)", "scene caf\\udce9"]
 
 
 def test_records_that_no_message_can_hold_are_sent_as_the_nearest_one(pair: Callable[..., Any]) -> None:
     """Of other libraries' loggers. Truth: the fields' ranges in rcl_interfaces/msg/Log, and XCDR, whose texts have no NUL."""
-    others = rosout_handlers()
-    p = pair()
-    p.ready()
-    lines: list[Any] = []
-    p.standin.node.subscribe("/rosout", "rcl_interfaces/msg/Log", lines.append, Qos(latched=True, depth=100))
-    (handler,) = rosout_handlers() - others
-    for k, (level, line, function) in enumerate(((-5, -1, "a\0b"), (10**9, 2**40, "f\udce9"), (30.5, 7, None))):
-        handler.handle(logging.LogRecord("wbmpc", level, "x.py", line, f"odd\0{k}", (), None, function))  # type: ignore[arg-type]
-    p.run(0.1)
-    assert wait_until(lambda: any(m.msg == "odd\\x002" for m in lines))
+    records = [
+        logging.LogRecord("wbmpc", level, "x.py", line, f"odd\0{k}", (), None, function)  # type: ignore[arg-type]
+        for k, (level, line, function) in enumerate(((-5, -1, "a\0b"), (10**9, 2**40, "f\udce9"), (30.5, 7, None)))
+    ]
+    lines = sent(pair, "odd\\x002", *records)
     assert [(m.msg, m.level, m.line, m.function) for m in lines if m.msg.startswith("odd")] == [
         ("odd\\x000", 10, 0, "a\\x00b"), ("odd\\x001", 50, 2**32 - 1, "f\\udce9"), ("odd\\x002", 30, 7, ""),
     ]  # fmt: skip

@@ -10,8 +10,9 @@ import pytest
 from wbmpc.model.ode import Ode
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, residuals, sets
 from wbmpc.solver import ILQR, SQP, Solver, Status
-from wbmpc.solver.barrier_update import MEMORY, STEEPEST, adaptive_mu, start_adaptive
+from wbmpc.solver.barrier_update import adaptive_mu, start_adaptive
 from wbmpc.solver.memory_layout import StateField
+from wbmpc.solver.settings import THRESHOLDS
 
 Rows = residuals.Expression
 
@@ -88,12 +89,12 @@ def test_the_barrier_follows_products_while_the_error_falls() -> None:
     rule = lambda error, products, step=1.0, of_barrier=1.0: adaptive_mu.python(
         m, 0, 7e-3, (error, of_barrier), products, step, 1e-12
     )
-    assert rule(1.0, (1e-2, 1e-2)) == pytest.approx(STEEPEST * 1e-3)  # even products: as fast as it may
+    assert rule(1.0, (1e-2, 1e-2)) == pytest.approx(THRESHOLDS.steepest * 1e-3)  # even products: as fast as it may
     assert rule(0.8, (1e-2, 1e-4)) == pytest.approx(0.1 * 2.0**3 * 1e-2)  # uneven ones: back to the central path
-    for _ in range(MEMORY):
+    for _ in range(THRESHOLDS.error_memory):
         following = rule(0.7, (1e-2, 5e-3))
-    assert following == pytest.approx(STEEPEST * 1e-3)
+    assert following == pytest.approx(THRESHOLDS.steepest * 1e-3)
     assert rule(0.69, (1e-2, 5e-3)) == pytest.approx(8e-3)  # 1.5 % in four iterations
     assert rule(0.68, (1e-2, 5e-3)) == pytest.approx(7e-3)  # the monotone rule from then on
     assert rule(0.1, (1e-2, 5e-3), step=0.05, of_barrier=0.05) == pytest.approx(7e-3)  # slacks are in the way
-    assert rule(0.1, (1e-2, 5e-3), of_barrier=0.05) == pytest.approx(STEEPEST * 1e-3)  # solved: free again
+    assert rule(0.1, (1e-2, 5e-3), of_barrier=0.05) == pytest.approx(THRESHOLDS.steepest * 1e-3)  # solved: free again

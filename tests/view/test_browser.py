@@ -54,7 +54,7 @@ class Shown:
 
     def __init__(self, film: Film) -> None:
         self.view = LiveView("toy", "127.0.0.1", free_port(), lambda url: None, with_token=True)
-        self.view.start(film.scene, Controls("toy", (), legs=False, base=False), fields(film.scene))
+        self.view.start(film.scene, Controls("toy", (), brakes=False, base=False), fields(film.scene))
         self.still = {**film.snapshot(0.0), "brakes": np.array(np.nan), "obstacle": np.zeros(8)}
         self.draw()
 
@@ -130,8 +130,8 @@ def test_the_view_draws_and_steers(tmp_path: Path) -> None:
     finally:
         process.kill()
     recording = read_recording(tmp_path)
-    _, goal_path = positions(recording, "/end_effector/reference")  # type: ignore[misc]
-    _, hand_path = positions(recording, "/end_effector/pose")  # type: ignore[misc]
+    _, goal_path = positions(recording, "/end_effector_reference")  # type: ignore[misc]
+    _, hand_path = positions(recording, "/ground_truth/end_effector")  # type: ignore[misc]
     # pushed: the end effector left its place before the goal was touched
     touched = int(np.argmax(np.linalg.norm(goal_path - goal_path[0], axis=1) > 1e-6))
     assert touched > 0
@@ -181,7 +181,7 @@ def _last(folder: Path, topic: str, column: str) -> float:
 def _paths(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """What is recorded so far: the end effector's reference (n, 3) and the end effector (n, 3)."""
     recording = read_recording(folder)
-    found = [positions(recording, topic) for topic in ("/end_effector/reference", "/end_effector/pose")]
+    found = [positions(recording, topic) for topic in ("/end_effector_reference", "/ground_truth/end_effector")]
     goal, end_effector = (np.zeros((0, 3)) if f is None else f[1] for f in found)
     rows = min(len(goal), len(end_effector))
     return goal[:rows], end_effector[:rows]
@@ -207,7 +207,7 @@ def _partly(folder: Path):  # type: ignore[no-untyped-def]
     """The recording of a run that is still going on."""
     deadline = time.monotonic() + 180.0
     while time.monotonic() < deadline:
-        if (folder / "run.mcap").exists() and "/end_effector/pose" in (found := read_recording(folder)).topics:
+        if (folder / "run.mcap").exists() and "/ground_truth/end_effector" in (found := read_recording(folder)).topics:
             return found
         time.sleep(0.2)
     raise AssertionError("nothing was recorded")

@@ -184,7 +184,7 @@ def test_who_floods_waits_and_nobody_else() -> None:
 def test_a_flood_of_one_page_leaves_the_server_to_others() -> None:
     """A second page is let in and served meanwhile; what is rejected changes no text of a page by itself."""
     server, guard = open_server(Access.of("127.0.0.1"), free_port())
-    panel = Panel(server, Mailbox.shared(REQUESTS), Controls("title", (), legs=False, base=False))
+    panel = Panel(server, Mailbox.shared(REQUESTS), Controls("title", (), brakes=False, base=False))
     guard.rejected = panel.reject
     url = guard.access.url(server.get_port())
     try:
@@ -214,7 +214,7 @@ def test_clicks_that_come_at_once_are_done_one_after_the_other(capfd: pytest.Cap
     """Two pages put, change and take away the box as fast as they can. Truth: the last order, and no traceback of the server's threads."""
     server, guard = open_server(Access.of("127.0.0.1"), free_port())
     requests = Mailbox.shared(REQUESTS)
-    Panel(server, requests, Controls("title", (), legs=False, base=False, obstacle=True))
+    Panel(server, requests, Controls("title", (), brakes=False, base=False, obstacle=True))
     url = guard.access.url(server.get_port())
     try:
         pages = [Client(url), Client(url)]
@@ -245,7 +245,7 @@ def test_messages_that_are_right_are_no_flood_either() -> None:
     """One page moves a goal as fast as it can: it is read at a page's rate, and others are served meanwhile. Truth: what is counted before
     the server."""
     server, guard = open_server(Access.of("127.0.0.1"), free_port())
-    panel = Panel(server, Mailbox.shared(REQUESTS), Controls("title", (), legs=False, base=False))
+    panel = Panel(server, Mailbox.shared(REQUESTS), Controls("title", (), brakes=False, base=False))
     url = guard.access.url(server.get_port())
     try:
         flooding, other = Client(url), Client(url)

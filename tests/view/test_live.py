@@ -272,7 +272,7 @@ def test_a_run_restarts_from_its_start_on_reset(tmp_path: Path, capsys: pytest.C
     printed = capsys.readouterr().out  # a view of a test before may end now, and says so
     assert json.loads(printed[printed.index("{") :])["metrics"] == result["metrics"]
     np.testing.assert_array_equal(
-        *(read_recording(tmp_path / n)["/end_effector/pose"].data for n in ("seen-2", "alone"))
+        *(read_recording(tmp_path / n)["/ground_truth/end_effector"].data for n in ("seen-2", "alone"))
     )
 
 

@@ -17,6 +17,7 @@ from wbmpc.model.robot import load_robot
 from wbmpc.obstacles.world import Obstacles
 from wbmpc.runtime.shared_memory import Mailbox
 from wbmpc.simulation.lockstep import PREPARATION, Watch, watched
+from wbmpc.view.braked_joints import BrakedJoints
 from wbmpc.view.snapshot import NUMBERS, status_text
 from wbmpc.view.user_commands import OBSTACLE, REQUESTS, Controls, UserCommands, no_requests
 
@@ -31,7 +32,7 @@ def panel() -> Any:
     yield panels.Panel(
         server,
         Mailbox(REQUESTS),
-        Controls("test", ("end_effector",), legs=True, base=True, obstacle=True, configurations=("H", "X")),
+        Controls("test", ("end_effector",), brakes=True, base=True, obstacle=True, configurations=("H", "X")),
     )
     server.stop()
 
@@ -70,11 +71,11 @@ def test_the_box_shows_how_the_brakes_are(panel: Any, monkeypatch: pytest.Monkey
 
 def test_open_are_brakes_of_which_all_are() -> None:
     steering = UserCommands.__new__(UserCommands)
-    steering._brakes_of_legs = ("brake", "leg")
     for brakes, reported in (([1, 1, 1, 1], 1.0), ([0, 0, 0, 0], 0.0), ([1, 0, 1, 1], 0.0)):
-        steering.running = SimpleNamespace(controller=SimpleNamespace(brakes=lambda t, b=brakes: np.array(b)))  # type: ignore[assignment]
+        steering.braked = BrakedJoints.__new__(BrakedJoints)
+        steering.braked._controller = SimpleNamespace(brakes=lambda t, b=brakes: np.array(b))  # type: ignore[assignment]
         assert steering.brakes_open(0.0) == reported
-    steering._brakes_of_legs = None
+    steering.braked = None
     assert np.isnan(steering.brakes_open(0.0))
 
 
@@ -211,7 +212,7 @@ def test_a_drive_before_the_run_says_how_the_legs_stand() -> None:
                 plant.step(still, 20)
             controls = view._controls(None, robot, (), pushes=False)
             value = dict(zip(NUMBERS, view.shown.read().values["numbers"], strict=True))
-        assert "legs: X" in status_text(value, controls.configurations) and not controls.legs
+        assert "legs: X" in status_text(value, controls.configurations) and not controls.brakes
         assert view.process.is_alive()
     finally:
         view.close()

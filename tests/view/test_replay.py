@@ -90,7 +90,7 @@ def test_numbers_and_forces(run: SimpleNamespace) -> None:
     assert len(forces) == 4 and weight == pytest.approx(run.truth.plant.weight, rel=0.05)
     numbers = dict(zip(NUMBERS, s["numbers"], strict=True))
     taken = s["trail"][np.isfinite(s["trail"]).all(axis=1)]
-    times, poses = positions(run.film.recording, "/end_effector/pose")  # type: ignore[misc]
+    times, poses = positions(run.film.recording, "/ground_truth/end_effector")  # type: ignore[misc]
     assert len(taken) == np.sum(times <= 0.1) and np.array_equal(taken[-1], poses[len(taken) - 1])
     assert numbers["t"] == 0.1 and 0.0 < numbers["solve"] < 1.0 and numbers["deadline"] == 0.02
 
@@ -173,7 +173,7 @@ def test_a_clip_reads_nothing_that_it_does_not_show(
     read, table = [], Recording.table
     monkeypatch.setattr(Recording, "table", lambda recording, name: read.append(name) or table(recording, name))
     render.render(Film(read_recording(run.folder)), tmp_path / "a.gif", (0.0, 0.2), (64, 48))
-    assert read and not [name for name in read if not name.startswith("/end_effector/")]
+    assert read and not [name for name in read if name not in ("/end_effector_reference", "/ground_truth/end_effector")]
 
 
 def test_a_clip_that_would_fill_the_memory_is_one_message(run: SimpleNamespace, tmp_path: Path) -> None:

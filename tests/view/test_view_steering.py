@@ -124,7 +124,7 @@ def test_legs_move_and_are_braked_again(name: str) -> None:
     running = drive(made, "swerve-ur10", 7.0, [(0.1, order)], look)
     legs = [running.plant.truth().joints[f"leg_{leg}"] for leg in ("LF", "RF", "LB", "RB")]
     np.testing.assert_allclose(legs, CONFIGURATIONS[name], atol=0.02)
-    assert list(dict.fromkeys(modes)) == ["default", "legs free", "legs braked"]
+    assert list(dict.fromkeys(modes)) == ["default", "brakes open", "brakes closed"]
     np.testing.assert_array_equal(running.controller.brakes(0.0), 0.0)
 
 
@@ -255,7 +255,7 @@ def test_orders_before_a_run_are_not_for_it() -> None:
     steering.skip(requests)
     steering.apply(0.0, requests, NOWHERE)
     assert not running.plant.data.xfrc_applied.any()
-    assert not steering.has_legs
+    assert steering.braked is None
 
 
 @pytest.mark.parametrize("name", ["swerve-ur10", "rezero"])
@@ -272,7 +272,7 @@ def test_orders_that_cannot_be_done_change_nothing(name: str) -> None:
         {"pushes": 2, "push": [10.0, 0.0, 0.0], "push_time": np.inf}, {"base_goals": 1, "base_goal": [np.nan, 0.0, 0.0]},
         {"weights": np.full(MAX_WEIGHTS, np.nan)}, {"weights": np.zeros(MAX_WEIGHTS)},
     ]  # fmt: skip
-    if steering.has_legs:
+    if steering.braked is not None:
         bad += [{"configurations": 1, "configuration": 99.0}, {"brake_clicks": 1, "brakes_open": np.nan}]
     requests = no_requests()
     weights = running.mpc.solver.constants.copy()

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.clearance.compilation import compiled
-from wbmpc.clearance.pairs_step import Gaps
+from wbmpc.clearance.pairs_step import Body, Gaps
 from wbmpc.clearance.simplex_step import Work, triangle
 from wbmpc.clearance.support_step import Kind, Solids, core_radius, support
 from wbmpc.kernel.ir import Floats, Integers
@@ -36,18 +36,15 @@ class Hull(NamedTuple):
 
 
 @compiled
-def put_corner(
-    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, i: int, x: float, y: float, z: float,
-) -> float:  # fmt: skip
-    """The farthest point of the difference of solids ``a`` and ``b``, whose centers begin at ``place[pa]`` and ``place[pb]``, along a direction
-    becomes corner ``i``; how far it is along that."""
-    ax, ay, az = support(solids, a, axes, 3 * pa, x, y, z)
-    bx, by, bz = support(solids, b, axes, 3 * pb, -x, -y, -z)
-    corner, own = hull.corner, hull.corner_own
+def put_corner(solids: Solids, a: Body, b: Body, hull: Hull, i: int, x: float, y: float, z: float) -> float:
+    """The farthest point of the difference of two solids along a direction becomes corner ``i``; how far it is along that."""
+    ax, ay, az = support(solids, a.solid, a.axes, a.turn, x, y, z)
+    bx, by, bz = support(solids, b.solid, b.axes, b.turn, -x, -y, -z)
+    corner, own, pa, pb = hull.corner, hull.corner_own, a.at, b.at
     own[3 * i], own[3 * i + 1], own[3 * i + 2] = ax, ay, az
-    corner[3 * i] = ax - bx - (place[pb] - place[pa])
-    corner[3 * i + 1] = ay - by - (place[pb + 1] - place[pa + 1])
-    corner[3 * i + 2] = az - bz - (place[pb + 2] - place[pa + 2])
+    corner[3 * i] = ax - bx - (b.place[pb] - a.place[pa])
+    corner[3 * i + 1] = ay - by - (b.place[pb + 1] - a.place[pa + 1])
+    corner[3 * i + 2] = az - bz - (b.place[pb + 2] - a.place[pa + 2])
     return corner[3 * i] * x + corner[3 * i + 1] * y + corner[3 * i + 2] * z
 
 
@@ -75,31 +72,29 @@ def put_face(hull: Hull, f: int, i: int, j: int, k: int) -> None:
 
 
 @compiled
-def widen(
-    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, i: int, x: float, y: float, z: float,
-) -> None:  # fmt: skip
+def widen(solids: Solids, a: Body, b: Body, hull: Hull, i: int, x: float, y: float, z: float) -> None:
     """Corner ``i``: the one of the two farthest along a direction, and against it, that is farther from corner 0."""
     p, own = hull.corner, hull.corner_own
     level = p[X] * x + p[Y] * y + p[Z] * z
-    one = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=i, x=x, y=y, z=z) - level
-    two = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=i + 1, x=-x, y=-y, z=-z) + level
+    one = put_corner(solids, a, b, hull, i, x, y, z) - level
+    two = put_corner(solids, a, b, hull, i + 1, -x, -y, -z) + level
     if two > one:
         for c in range(3):
             p[3 * i + c], own[3 * i + c] = p[3 * i + 3 + c], own[3 * i + 3 + c]
 
 
 @compiled
-def start_hull(solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull) -> int:
+def start_hull(solids: Solids, a: Body, b: Body, hull: Hull) -> int:
     """A tetrahedron of four corners; how many faces."""
     p = hull.corner
-    put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=0, x=1.0, y=0.0, z=0.0)
-    put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=1, x=-1.0, y=0.0, z=0.0)
+    put_corner(solids, a, b, hull, 0, 1.0, 0.0, 0.0)
+    put_corner(solids, a, b, hull, 1, -1.0, 0.0, 0.0)
     x, y, z = p[3] - p[X], p[4] - p[Y], p[5] - p[Z]
     # across the first two, which differ along x: (x, y, z) × (0, 1, 0)
     length = np.sqrt(x * x + z * z)
-    widen(solids, a, b, pa, pb, place, axes, hull=hull, i=2, x=-z / length, y=0.0, z=x / length)
+    widen(solids, a, b, hull, 2, -z / length, 0.0, x / length)
     x, y, z = normal_of(hull, 0, 1, 2)
-    widen(solids, a, b, pa, pb, place, axes, hull=hull, i=3, x=x, y=y, z=z)
+    widen(solids, a, b, hull, 3, x, y, z)
     above = (p[9] - p[X]) * x + (p[10] - p[Y]) * y + (p[11] - p[Z]) * z > 0.0
     j, k = 2 if above else 1, 1 if above else 2
     put_face(hull, 0, 0, j, k)
@@ -155,15 +150,13 @@ def grow(hull: Hull, faces: int, new: int) -> int:
 
 
 @compiled
-def across_lines(
-    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats
-) -> tuple[float, float, float]:
+def across_lines(solids: Solids, a: Body, b: Body) -> tuple[float, float, float]:
     """A unit vector across two cores that are points or lines, from the second solid's center to the first one's side."""
-    ra, rb = 3 * pa, 3 * pb
-    one = 1.0 if solids.kind[a] == Kind.CAPSULE else 0.0
-    two = 1.0 if solids.kind[b] == Kind.CAPSULE else 0.0
-    ax, ay, az = one * axes[ra + 2], one * axes[ra + 5], one * axes[ra + 8]
-    bx, by, bz = two * axes[rb + 2], two * axes[rb + 5], two * axes[rb + 8]
+    pa, pb, ra, rb = a.at, b.at, a.turn, b.turn
+    one = 1.0 if solids.kind[a.solid] == Kind.CAPSULE else 0.0
+    two = 1.0 if solids.kind[b.solid] == Kind.CAPSULE else 0.0
+    ax, ay, az = one * a.axes[ra + 2], one * a.axes[ra + 5], one * a.axes[ra + 8]
+    bx, by, bz = two * b.axes[rb + 2], two * b.axes[rb + 5], two * b.axes[rb + 8]
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     if x * x + y * y + z * z < 1e-12:  # lines along each other, or one: across it
         lx, ly, lz = ax if one > 0.0 else bx, ay if one > 0.0 else by, az if one > 0.0 else bz
@@ -172,27 +165,29 @@ def across_lines(
     if x * x + y * y + z * z < 1e-12:  # two points
         z = 1.0
     length = np.sqrt(x * x + y * y + z * z)
-    away = x * (place[pa] - place[pb]) + y * (place[pa + 1] - place[pb + 1]) + z * (place[pa + 2] - place[pb + 2])
+    away = (
+        x * (a.place[pa] - b.place[pb])
+        + y * (a.place[pa + 1] - b.place[pb + 1])
+        + z * (a.place[pa + 2] - b.place[pb + 2])
+    )
     length = -length if away < 0.0 else length
     return x / length, y / length, z / length
 
 
 @compiled
-def polish(
-    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, work: Floats
-) -> float:
+def polish(solids: Solids, a: Body, b: Body, hull: Hull, work: Floats) -> float:
     """Of round solids, whose difference the polytope has not reached: turn ``Work.V`` by steps down the gradient, whose lengths follow from
     whether the depth falls."""
     p, last, trial, v = hull.corner, 3 * (CORNERS - 2), CORNERS - 1, int(Work.V)
     x, y, z = -work[v], -work[v + 1], -work[v + 2]
-    deep = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=CORNERS - 2, x=x, y=y, z=z)
+    deep = put_corner(solids, a, b, hull, CORNERS - 2, x, y, z)
     step = 1.0 / max(deep, ENOUGH)
     for _ in range(POLISHED):
         gx, gy, gz = p[last] - deep * x, p[last + 1] - deep * y, p[last + 2] - deep * z
         tx, ty, tz = x - step * gx, y - step * gy, z - step * gz
         length = np.sqrt(tx * tx + ty * ty + tz * tz)
         tx, ty, tz = tx / length, ty / length, tz / length
-        found = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=trial, x=tx, y=ty, z=tz)
+        found = put_corner(solids, a, b, hull, trial, tx, ty, tz)
         if found >= deep:
             step *= 0.25
             continue
@@ -206,16 +201,14 @@ def polish(
 
 
 @compiled
-def expand(
-    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, work: Floats
-) -> float:
+def expand(solids: Solids, a: Body, b: Body, hull: Hull, work: Floats) -> float:
     """How deep two cores are inside of each other [m], of which one at least has a volume: ``Work.V`` becomes the direction in which the
     first one comes out soonest, ``Work.AT`` its deepest point, from its center."""
-    faces, plane, v = start_hull(solids, a, b, pa, pb, place, axes, hull), hull.plane, int(Work.V)
+    faces, plane, v = start_hull(solids, a, b, hull), hull.plane, int(Work.V)
     found, deep, reached = nearest_face(hull, faces), 0.0, False
     for new in range(4, CORNERS):
         x, y, z = plane[4 * found], plane[4 * found + 1], plane[4 * found + 2]
-        deep = put_corner(solids, a, b, pa, pb, place, axes, hull=hull, i=new, x=x, y=y, z=z)
+        deep = put_corner(solids, a, b, hull, new, x, y, z)
         work[v], work[v + 1], work[v + 2] = -x, -y, -z
         for c in range(3):
             j = hull.face[3 * found + c]
@@ -227,7 +220,7 @@ def expand(
         faces = grow(hull, faces, new)
         found = nearest_face(hull, faces)
     if not reached:
-        return polish(solids, a, b, pa, pb, place, axes, hull, work)
+        return polish(solids, a, b, hull, work)
     first, second, third = triangle(work, 0, 1, 2)
     for i in range(3):
         at = first * work[Work.OWN + i] + second * work[Work.OWN + 3 + i] + third * work[Work.OWN + 6 + i]
@@ -236,26 +229,24 @@ def expand(
 
 
 @compiled
-def depth(
-    solids: Solids, a: int, b: int, pa: int, pb: int, place: Floats, axes: Floats, hull: Hull, work: Floats
-) -> float:
+def depth(solids: Solids, a: Body, b: Body, hull: Hull, work: Floats) -> float:
     """Distance [m], negative, of two solids whose cores touch: see :func:`expand`."""
-    radii, v = core_radius(solids, a) + core_radius(solids, b), int(Work.V)
-    if solids.kind[a] <= Kind.CAPSULE and solids.kind[b] <= Kind.CAPSULE:
-        work[v], work[v + 1], work[v + 2] = across_lines(solids, a, b, pa, pb, place, axes)
+    radii, v = core_radius(solids, a.solid) + core_radius(solids, b.solid), int(Work.V)
+    if solids.kind[a.solid] <= Kind.CAPSULE and solids.kind[b.solid] <= Kind.CAPSULE:
+        work[v], work[v + 1], work[v + 2] = across_lines(solids, a, b)
         return -radii
-    return -radii - expand(solids, a, b, pa, pb, place, axes, hull, work)
+    return -radii - expand(solids, a, b, hull, work)
 
 
 @compiled
-def write_depth(solids: Solids, gaps: Gaps, a: int, place: Floats, pa: int, d: float, i: int, work: Floats) -> None:
+def write_depth(solids: Solids, gaps: Gaps, a: Body, d: float, i: int, work: Floats) -> None:
     """Write what :func:`depth` has found to entry ``i``, as :func:`wbmpc.clearance.pairs_step.write_gap` does a gap."""
-    ra = core_radius(solids, a)
+    ra = core_radius(solids, a.solid)
     gaps.distance[i] = d
     for c in range(3):
         n = work[Work.V + c]
         gaps.normal[3 * i + c] = n
-        own = place[pa + c] + work[Work.AT + c] - ra * n
+        own = a.place[a.at + c] + work[Work.AT + c] - ra * n
         gaps.own[3 * i + c], gaps.other[3 * i + c] = own, own - d * n
 
 

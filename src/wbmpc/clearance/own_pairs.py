@@ -10,13 +10,13 @@ import numpy as np
 from wbmpc.arrays import Array
 from wbmpc.clearance.compilation import compiled, step
 from wbmpc.clearance.depth_step import Hull, depth, hull_arrays, write_depth
-from wbmpc.clearance.pairs_step import Gaps, bound, gap, place_solids, write_gap
+from wbmpc.clearance.pairs_step import Body, Gaps, bound, gap, place_solids, write_gap
 from wbmpc.clearance.simplex_step import Work
 from wbmpc.clearance.support_step import Solids
 from wbmpc.clearance.table import SolidTable
 from wbmpc.kernel.function import CompiledFunction
 from wbmpc.kernel.ir import Floats, Integers, PointerCall
-from wbmpc.kernel.step import Step, bind
+from wbmpc.kernel.step import bind
 from wbmpc.obstacles.geometry import RobotGeometry, common_link, frame_function, link_frames
 from wbmpc.ocp.clearance_residuals import SELF_WIDTH
 
@@ -52,49 +52,56 @@ class Places(NamedTuple):
     axes: Floats  # (n, shapes, 3, 3)
 
 
+class Compared(NamedTuple):
+    """Pairs of a robot's own parts: what they are, where they are, and what is found."""
+
+    parts: Parts
+    places: Places
+    solids: Solids
+    gaps: Gaps
+    hull: Hull
+
+
 @compiled
-def nearest_own(n: int, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, hull: Hull, work: Floats) -> None:
+def nearest_own(n: int, own: Compared, work: Floats) -> None:
     """Of the pairs of a robot's own solids, each of one of the rows, what is nearer than the ``distance`` (n, rows) of ``gaps`` on entry."""
-    place, axes, shapes, rows = at_states.place, at_states.axes, parts.shapes, parts.rows
-    for j in range(parts.pairs):
-        a, b = parts.one[j], parts.two[j]
+    place, axes, shapes, rows = own.places.place, own.places.axes, own.parts.shapes, own.parts.rows
+    for j in range(own.parts.pairs):
+        a, b = own.parts.one[j], own.parts.two[j]
         for c in range(3):
             work[Work.V + c] = 0.0
         for k in range(n):
-            i = k * rows + parts.row_of[j]
-            limit = gaps.distance[i]
-            pa, pb = 3 * (k * shapes + a), 3 * (k * shapes + b)
-            if bound(solids, a, b, place, pa, axes, 3 * pa, place, pb, limit) >= limit:
-                continue
-            if bound(solids, b, a, place, pb, axes, 3 * pb, place, pa, limit) >= limit:
-                continue
-            d = gap(
-                solids, a, b, place=place, pa=pa, axes=axes, ra=3 * pa, others=place, pb=pb, turns=axes, rb=3 * pb, limit=limit,
-                work=work,
-            )  # fmt: skip
-            if d == -np.inf:
-                d = depth(solids, a, b, pa, pb, place, axes, hull, work)
-                if d < limit:
-                    write_depth(solids, gaps, a, place, pa, d, i, work)
-                for c in range(3):
-                    work[Work.V + c] = 0.0
-            elif d < limit:
-                write_gap(solids, gaps, a, b, place, pa, d, i, work)
+            i = k * rows + own.parts.row_of[j]
+            p, q = k * shapes + a, k * shapes + b
+            nearest_of(own, Body(a, place, 3 * p, axes, 9 * p), Body(b, place, 3 * q, axes, 9 * q), i, work)
+
+
+@compiled
+def nearest_of(own: Compared, a: Body, b: Body, i: int, work: Floats) -> None:
+    """Of one pair, to entry ``i``."""
+    limit = own.gaps.distance[i]
+    if bound(own.solids, a, b, limit) >= limit or bound(own.solids, b, a, limit) >= limit:
+        return
+    d = gap(own.solids, a, b, limit, work)
+    if d == -np.inf:
+        d = depth(own.solids, a, b, own.hull, work)
+        if d < limit:
+            write_depth(own.solids, own.gaps, a, d, i, work)
+        for c in range(3):
+            work[Work.V + c] = 0.0
+    elif d < limit:
+        write_gap(own.solids, own.gaps, a, b, d, i, work)
 
 
 @step
-def measure(
-    n: int, reach: float, states: Floats, parts: Parts, at_states: Places, solids: Solids, gaps: Gaps, hull: Hull, work: Floats
-) -> None:  # fmt: skip
+def measure(n: int, reach: float, states: Floats, own: Compared, work: Floats) -> None:
     """Poses of frames at ``states`` (n, nx) by the function at ``address``, then :func:`nearest_own` within ``reach`` [m]."""
-    address, nx, all_frames, frames, shapes, rows = (
-        parts.address, parts.nx, parts.all_frames, parts.frames, parts.shapes, parts.rows,
-    )  # fmt: skip
-    poses, table, position, rotation = at_states.poses, at_states.table, at_states.position, at_states.rotation
+    poses, table, position, rotation = own.places.poses, own.places.table, own.places.position, own.places.rotation
+    frames, shapes, all_frames = own.parts.frames, own.parts.shapes, own.parts.all_frames
     for k in range(n):
-        table[0] = states.ctypes.data + 8 * k * nx
+        table[0] = states.ctypes.data + 8 * k * own.parts.nx
         table[1] = poses.ctypes.data + 8 * k * 12 * all_frames
-        call2(address, table.ctypes.data, table.ctypes.data + 8)
+        call2(own.parts.address, table.ctypes.data, table.ctypes.data + 8)
         for f in range(frames):
             at, to = 12 * (k * all_frames + f), k * frames + f
             for i in range(3):
@@ -102,21 +109,22 @@ def measure(
             for i in range(9):
                 rotation[9 * to + i] = poses[at + 3 + i]
     place_solids(
-        n, shapes, frames, parts.frame_of, parts.local, parts.turn, position, rotation, at_states.place, at_states.axes
-    )
-    for i in range(n * rows):
-        gaps.distance[i] = reach
-    nearest_own(n, parts, at_states, solids, gaps, hull, work)
+        n, shapes, frames, own.parts.frame_of, own.parts.local, own.parts.turn, position, rotation, own.places.place,
+        own.places.axes,
+    )  # fmt: skip
+    for i in range(n * own.parts.rows):
+        own.gaps.distance[i] = reach
+    nearest_own(n, own, work)
 
 
 @step
 def fill(
-    n: int, all_frames: int, rows: int, reach: float, margins: Floats, poses: Floats, of_a: Integers, of_b: Integers, above: Integers,
-    gaps: Gaps, parameters: Floats,
+    n: int, reach: float, margins: Floats, own: Compared, of_a: Integers, of_b: Integers, above: Integers, parameters: Floats
 ) -> None:  # fmt: skip
     """``parameters`` (n, rows, 10): normal in the axes of the frame ``above`` both, the nearest points in those of the pair's frames, the
     pair's margin; zeros beyond ``reach``, where ``distance`` becomes infinite."""
-    distance, normal, own, other = gaps.distance, gaps.normal, gaps.own, gaps.other
+    distance, normal, near, other = own.gaps.distance, own.gaps.normal, own.gaps.own, own.gaps.other
+    poses, all_frames, rows = own.places.poses, own.parts.all_frames, own.parts.rows
     for k in range(n):
         for r in range(rows):
             i, to = k * rows + r, 10 * (k * rows + r)
@@ -127,7 +135,7 @@ def fill(
                 n_c, a_c, b_c = 0.0, 0.0, 0.0
                 for j in range(3):
                     n_c += normal[3 * i + j] * poses[top + 3 + 3 * j + c]
-                    a_c += (own[3 * i + j] - poses[a + j]) * poses[a + 3 + 3 * j + c]
+                    a_c += (near[3 * i + j] - poses[a + j]) * poses[a + 3 + 3 * j + c]
                     b_c += (other[3 * i + j] - poses[b + j]) * poses[b + 3 + 3 * j + c]
                 parameters[to + c] = n_c if there else 0.0
                 parameters[to + 3 + c] = a_c if there else 0.0
@@ -186,9 +194,8 @@ class OwnPairs:
     def _allocate(self, n: int) -> None:
         arrays, numbers = self.memory(n)
         self._states, self.distance, self.parameters = arrays["states"], arrays["distance"], arrays["parameters"]
-        self._measure: Step = bind(measure, arrays, address=self._poses.address, **numbers)
-        counts = {name: numbers[name] for name in ("n", "all_frames", "rows", "reach")}
-        self._fill: Step = bind(fill, arrays, **counts)
+        numbers["address"] = self._poses.address
+        self._measure, self._fill = bind(measure, arrays, **numbers), bind(fill, arrays, **numbers)
 
     def measure(self, states: Array) -> None:
         """At states (n, nx or more: what a problem adds comes after the robot's own)."""

@@ -23,20 +23,27 @@ from wbmpc.kernel.ir import Floats, Integers
 MAX_ITERATIONS, ENOUGH, TOUCH = 40, 1e-7, 1e-6
 
 
+class Body(NamedTuple):
+    """A solid and where it stands: its center begins at ``place[at]``, its axes at ``axes[turn]``."""
+
+    solid: int  # its number
+    place: Floats
+    at: int
+    axes: Floats
+    turn: int
+
+
 @compiled
-def add_point(
-    solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, turns: Floats,
-    rb: int, work: Floats, count: int,
-) -> float:  # fmt: skip
+def add_point(solids: Solids, a: Body, b: Body, work: Floats, count: int) -> float:
     """Put the difference of the cores' farthest points against and along ``Work.V`` to the simplex; how far it is along that."""
     x, y, z = work[Work.V], work[Work.V + 1], work[Work.V + 2]
-    ax, ay, az = support(solids, a, axes, ra, -x, -y, -z)
-    bx, by, bz = support(solids, b, turns, rb, x, y, z)
+    ax, ay, az = support(solids, a.solid, a.axes, a.turn, -x, -y, -z)
+    bx, by, bz = support(solids, b.solid, b.axes, b.turn, x, y, z)
     own, at = Work.OWN + 3 * count, 3 * count
     work[own], work[own + 1], work[own + 2] = ax, ay, az
-    work[at] = ax - bx - (others[pb] - place[pa])
-    work[at + 1] = ay - by - (others[pb + 1] - place[pa + 1])
-    work[at + 2] = az - bz - (others[pb + 2] - place[pa + 2])
+    work[at] = ax - bx - (b.place[b.at] - a.place[a.at])
+    work[at + 1] = ay - by - (b.place[b.at + 1] - a.place[a.at + 1])
+    work[at + 2] = az - bz - (b.place[b.at + 2] - a.place[a.at + 2])
     return work[at] * x + work[at + 1] * y + work[at + 2] * z
 
 
@@ -50,35 +57,27 @@ def take_found(work: Floats, count: int) -> None:
 
 
 @compiled
-def first_direction(place: Floats, pa: int, others: Floats, pb: int, work: Floats) -> None:
+def first_direction(a: Body, b: Body, work: Floats) -> None:
     """Where there is none yet: from center to center."""
-    v = int(Work.V)
+    v, pa, pb = int(Work.V), a.at, b.at
     if work[v] ** 2 + work[v + 1] ** 2 + work[v + 2] ** 2 > 1e-16:
         return
-    x, y, z = place[pa] - others[pb], place[pa + 1] - others[pb + 1], place[pa + 2] - others[pb + 2]
+    x, y, z = a.place[pa] - b.place[pb], a.place[pa + 1] - b.place[pb + 1], a.place[pa + 2] - b.place[pb + 2]
     same = x * x + y * y + z * z < 1e-16
     work[v], work[v + 1], work[v + 2] = x, y, 1.0 if same else z
 
 
 @compiled
-def gap(
-    solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, turns: Floats,
-    rb: int, limit: float, work: Floats,
-) -> float:  # fmt: skip
-    """Distance [m] of solids ``a`` and ``b``, or ``limit`` where it is not less; minus infinity where their cores touch: ``AT`` is then where
-    cores without a volume do.
-
-    Their centers and axes begin at ``place[pa]``, ``axes[ra]`` and ``others[pb]``, ``turns[rb]``. ``work``: what
-    :class:`~wbmpc.clearance.simplex_step.Work` says; of a distance below ``limit`` ``V`` and ``AT`` are those of the cores.
-    """
-    first_direction(place, pa, others, pb, work)
-    radius = core_radius(solids, a) + core_radius(solids, b)
+def gap(solids: Solids, a: Body, b: Body, limit: float, work: Floats) -> float:
+    """Distance [m] of two solids, or ``limit`` where it is not less; minus infinity where their cores touch: ``AT`` is then where
+    cores without a volume do. ``work``: what :class:`~wbmpc.clearance.simplex_step.Work` says; of a distance below ``limit`` ``V`` and ``AT``
+    are those of the cores."""
+    first_direction(a, b, work)
+    radius = core_radius(solids, a.solid) + core_radius(solids, b.solid)
     reach, square, count = limit + radius, np.inf, 0
     for _ in range(MAX_ITERATIONS):
         vv = work[Work.V] ** 2 + work[Work.V + 1] ** 2 + work[Work.V + 2] ** 2
-        ahead = add_point(
-            solids, a, b, place=place, pa=pa, axes=axes, ra=ra, others=others, pb=pb, turns=turns, rb=rb, work=work, count=count
-        )  # fmt: skip
+        ahead = add_point(solids, a, b, work, count)
         if ahead > 0.0 and (reach <= 0.0 or ahead * ahead >= vv * reach * reach):
             return limit
         if count > 0 and vv - ahead <= ENOUGH * vv:
@@ -136,36 +135,33 @@ def place_solids(
 
 
 @compiled
-def bound(
-    solids: Solids, a: int, b: int, place: Floats, pa: int, axes: Floats, ra: int, others: Floats, pb: int, limit: float
-) -> float:
-    """A lower bound of the distance [m] of solids ``a`` and ``b`` by their enclosing spheres; of ``a`` itself against the
-    sphere of ``b`` where that is less than ``limit``."""
-    x, y, z = others[pb] - place[pa], others[pb + 1] - place[pa + 1], others[pb + 2] - place[pa + 2]
-    around, reach = solids.around[b], solids.around[a] + solids.around[b] + limit
+def bound(solids: Solids, a: Body, b: Body, limit: float) -> float:
+    """A lower bound of the distance [m] of two solids by their enclosing spheres; of ``a`` itself against the sphere of ``b`` where that
+    is less than ``limit``."""
+    p, q, axes, r = a.at, b.at, a.axes, a.turn
+    x, y, z = b.place[q] - a.place[p], b.place[q + 1] - a.place[p + 1], b.place[q + 2] - a.place[p + 2]
+    around, reach = solids.around[b.solid], solids.around[a.solid] + solids.around[b.solid] + limit
     square = x * x + y * y + z * z
     if reach <= 0.0 or square >= reach * reach:
         return np.inf
-    lx = axes[ra] * x + axes[ra + 3] * y + axes[ra + 6] * z
-    ly = axes[ra + 1] * x + axes[ra + 4] * y + axes[ra + 7] * z
-    lz = axes[ra + 2] * x + axes[ra + 5] * y + axes[ra + 8] * z
-    return beyond(a, solids.kind, solids.size, lx, ly, lz) - around
+    lx = axes[r] * x + axes[r + 3] * y + axes[r + 6] * z
+    ly = axes[r + 1] * x + axes[r + 4] * y + axes[r + 7] * z
+    lz = axes[r + 2] * x + axes[r + 5] * y + axes[r + 8] * z
+    return beyond(a.solid, solids.kind, solids.size, lx, ly, lz) - around
 
 
 @compiled
-def write_gap(
-    solids: Solids, gaps: Gaps, a: int, b: int, place: Floats, pa: int, d: float, i: int, work: Floats
-) -> None:
+def write_gap(solids: Solids, gaps: Gaps, a: Body, b: Body, d: float, i: int, work: Floats) -> None:
     """Write a gap that has been found to entry ``i``: ``normal`` from ``b`` to ``a``, the nearest points ``own`` and ``other`` in the world."""
     v, at = int(Work.V), int(Work.AT)
     length = np.sqrt(work[v] ** 2 + work[v + 1] ** 2 + work[v + 2] ** 2)
-    ra, rb = core_radius(solids, a), core_radius(solids, b)
+    ra, rb = core_radius(solids, a.solid), core_radius(solids, b.solid)
     gaps.distance[i] = d
     for c in range(3):
         n = work[v + c] / length
         gaps.normal[3 * i + c] = n
-        gaps.own[3 * i + c] = place[pa + c] + work[at + c] - ra * n
-        gaps.other[3 * i + c] = place[pa + c] + work[at + c] - work[v + c] + rb * n
+        gaps.own[3 * i + c] = a.place[a.at + c] + work[at + c] - ra * n
+        gaps.other[3 * i + c] = a.place[a.at + c] + work[at + c] - work[v + c] + rb * n
 
 
 @compiled
@@ -186,15 +182,13 @@ def nearest(
                 i = (k * frames + frame_of[s]) * others_count + o
                 limit = gaps.distance[i]
                 pa, ra, pb = 3 * (k * shapes + s), 9 * (k * shapes + s), 3 * (k * others_count + o)
-                if bound(solids, b, s, others, pb, turns, rb, place, pa, limit) >= limit:
+                if bound(solids, Body(b, others, pb, turns, rb), Body(s, place, pa, axes, ra), limit) >= limit:
                     continue
                 compared += 1
-                d = gap(
-                    solids, s, b, place=place, pa=pa, axes=axes, ra=ra, others=others, pb=pb, turns=turns, rb=rb, limit=limit, work=work
-                )  # fmt: skip
+                d = gap(solids, Body(s, place, pa, axes, ra), Body(b, others, pb, turns, rb), limit, work)
                 if d == -np.inf:
                     touching[touch] = (k * shapes + s) * others_count + o
                     touch += 1
                 elif d < limit:
-                    write_gap(solids, gaps, s, b, place, pa, d, i, work)
+                    write_gap(solids, gaps, Body(s, place, pa, axes, ra), Body(b, others, pb, turns, rb), d, i, work)
     return compared, touch

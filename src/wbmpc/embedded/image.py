@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.clearance.depth_step import Hull
-from wbmpc.clearance.own_pairs import Parts, Places
+from wbmpc.clearance.own_pairs import Compared, Places
 from wbmpc.clearance.pairs_step import Gaps
-from wbmpc.clearance.support_step import Solids
 from wbmpc.embedded.keeps_clear import Guard
 from wbmpc.errors import InputError
+from wbmpc.kernel.ir import Parameter
 from wbmpc.kernel.object_file import Symbols
 from wbmpc.mpc.braking import rate_limits, rated_states
 from wbmpc.mpc.clearance import BARRIER_SHARE, BRAKING_SOLVES, FIRST_BARRIER
@@ -28,8 +28,7 @@ from wbmpc.solver.memory_layout import ALIGN, BASE, GRID, GRID_BASE, GRID_OLD, N
 from wbmpc.solver.receding import Tables, make_tables
 from wbmpc.solver.workspace import ADDRESSES, POINTERS, make_workspace
 
-_RECORDS: dict[str, Any] = {"parts": Parts, "places": Places, "solids": Solids, "gaps": Gaps, "hull": Hull}
-#: What of these is written.
+#: What of a robot's own pairs is written.
 _WRITTEN = frozenset((*Places._fields, *Gaps._fields, *Hull._fields))
 
 
@@ -49,12 +48,12 @@ def own_parts(mpc: MPC) -> OwnParts:
     (n, nu), nx = mpc.solver.ws.u.shape, mpc.solver.ws.x.shape[1]
     arrays, counts = rows.own.memory(n + 1)
     found = OwnParts(poses=rows.own.poses)
-    for record, kind in _RECORDS.items():
-        for part in kind._fields:
-            if part in arrays:
-                (found.areas if part in _WRITTEN else found.constants)[f"{record}.{part}"] = _filled(arrays[part])
-            elif part in counts:
-                found.numbers[f"{record}.{part}"] = counts[part]
+    for place in Parameter.of(Compared, "w.own", Compared, {}).places:
+        part = place.rpartition(".")[2]
+        if part in arrays:
+            (found.areas if part in _WRITTEN else found.constants)[place] = _filled(arrays[part])
+        elif part in counts:
+            found.numbers[place] = counts[part]
     zeros = lambda *shape: np.zeros(int(np.prod(shape)))
     guard = zeros(len(Guard))
     guard[Guard.STOPS_AT] = guard[Guard.SEARCH_AT] = np.inf

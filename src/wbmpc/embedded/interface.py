@@ -21,7 +21,7 @@ from wbmpc.solver.workspace import ADDRESSES
 _LLVM = {"double": "double", "int": "i32"}
 _PUBLIC = "public."
 #: The function that gives the poses of a robot's frames.
-POSES, POSES_ADDRESS = "poses", "parts.address"
+POSES, POSES_ADDRESS = "poses", "w.own.parts.address"
 
 
 @dataclass(frozen=True)

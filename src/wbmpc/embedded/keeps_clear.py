@@ -1,7 +1,7 @@
 """Compiled code of a controller whose robot keeps its own parts apart: what :class:`wbmpc.mpc.clearance.ClearanceRows` and
 :class:`wbmpc.mpc.mpc.MPC` do with rows of :class:`wbmpc.residuals.SelfClearance`, for exported code.
 
-Functions take the controller's loop ``c``, what it keeps for this, ``w``, and the records of :mod:`wbmpc.clearance.own_pairs`.
+Functions take the controller's loop ``c``, and what it keeps for this, ``w``.
 """
 
 from __future__ import annotations
@@ -12,11 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.clearance import compilation as nearest_points
-from wbmpc.clearance.depth_step import Hull
-from wbmpc.clearance.own_pairs import Parts, Places, fill, measure
-from wbmpc.clearance.pairs_step import Gaps
+from wbmpc.clearance.own_pairs import Compared, fill, measure
 from wbmpc.clearance.plan_step import predict, stop_duration, stop_inputs
-from wbmpc.clearance.support_step import Solids
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.library import Library
 from wbmpc.mpc.clearance import AGAIN, BRAKING_SOLVES, CLEARER, DEEPER, ENDING, LATER, REACTION, TOLERATED
@@ -58,6 +55,7 @@ class Guard(IntEnum):
 class Keep(NamedTuple):
     """What pairs and stops need beside the loop."""
 
+    own: Compared
     guard: Floats  # Guard
     own_states: Floats  # (n + 1, those of the robot), of which distances are known
     margins: Floats  # (rows) [m]
@@ -96,66 +94,57 @@ def place_nodes(c: Loop, w: Keep, t: float) -> None:
 
 
 @compiled
-def look(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, x: Floats, at: int
-) -> None:
+def look(c: Loop, w: Keep, x: Floats, at: int) -> None:
     """Measure all pairs at states (n + 1, nx) from ``x[at]`` on, unless they are those that were measured last."""
-    n1, nx, states, same = c.o[N] + 1, c.o[NX], w.own_states, w.guard[Guard.MEASURED] > 0.0
+    n1, nx, own, states, same = c.o[N] + 1, c.o[NX], w.own.parts.nx, w.own_states, w.guard[Guard.MEASURED] > 0.0
     for k in range(n1):
-        for i in range(parts.nx):
-            value, to = x[at + k * nx + i], k * parts.nx + i
+        for i in range(own):
+            value, to = x[at + k * nx + i], k * own + i
             same = same and value == states[to]
             states[to] = value
     if same:
         return
-    measure(n1, w.reach, states, parts, places, solids, gaps, hull, w.work)
-    fill(
-        n1, parts.all_frames, parts.rows, w.reach, w.margins, places.poses, w.of_a, w.of_b, w.above, gaps, w.parameters
-    )
+    measure(n1, w.reach, states, w.own, w.work)
+    fill(n1, w.reach, w.margins, w.own, w.of_a, w.of_b, w.above, w.parameters)
     w.guard[Guard.MEASURED] = 1.0
 
 
 @compiled
-def danger(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, x: Floats, at: int,
-    nodes: Floats, first: int, t: float, until: float,
-) -> float:  # fmt: skip
+def danger(c: Loop, w: Keep, x: Floats, at: int, nodes: Floats, first: int, t: float, until: float) -> float:
     """How near [m] a pair comes much too near before ``until`` [s] in states (n + 1, nx) from ``x[at]`` on, at ``t`` and ``nodes`` from the
     ``first`` on, and nearer than at the first of them; infinite: none does."""
-    look(c, w, parts, places, solids, gaps, hull, x, at)
-    count, rows, least, found = 0, parts.rows, np.inf, np.inf
+    look(c, w, x, at)
+    count, rows, least, found = 0, w.own.parts.rows, np.inf, np.inf
     for k in range(c.o[N] + 1):
         count += 1 if t + nodes[first + k] <= until else 0
     for k in range(max(count, 2)):
         for r in range(rows):
-            d, margin = gaps.distance[k * rows + r], w.margins[r]
-            if d < (1.0 - TOLERATED) * margin and d < gaps.distance[r] - DEEPER and d - margin < least:
+            d, margin = w.own.gaps.distance[k * rows + r], w.margins[r]
+            if d < (1.0 - TOLERATED) * margin and d < w.own.gaps.distance[r] - DEEPER and d - margin < least:
                 least, found = d - margin, d
     return found
 
 
 @compiled
-def clearance(c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull) -> float:
+def clearance(c: Loop, w: Keep) -> float:
     """The distance [m] of the pair of the iterate that lacks most of its margin."""
-    look(c, w, parts, places, solids, gaps, hull, c.m, c.o[X])
+    look(c, w, c.m, c.o[X])
     least, found = np.inf, np.inf
     for k in range(c.o[N] + 1):
-        for r in range(parts.rows):
-            d = gaps.distance[k * parts.rows + r]
+        for r in range(w.own.parts.rows):
+            d = w.own.gaps.distance[k * w.own.parts.rows + r]
             if d - w.margins[r] < least:
                 least, found = d - w.margins[r], d
     return found
 
 
 @compiled
-def refresh(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, t: float, delta: float
-) -> None:
+def refresh(c: Loop, w: Keep, t: float, delta: float) -> None:
     """Set all rows for a solve at ``t`` that goes on from a plan which is ``delta`` [s] old."""
     o, numbers, integers, n1, s = c.o, c.numbers, c.integers, c.o[N] + 1, 4 + 6 * w.slot
     place_nodes(c, w, t)
     predict(o[N], o[NX], c.m, o[GRID], c.m, o[X], w.grids, delta, w.ahead)
-    look(c, w, parts, places, solids, gaps, hull, w.ahead, 0)
+    look(c, w, w.ahead, 0)
     times, values, width = integers[s], integers[s + 2], integers[s + 3]
     integers[s + 1], integers[s + 4] = n1, 0
     for k in range(n1):
@@ -165,24 +154,18 @@ def refresh(
 
 
 @compiled
-def run(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, count: Integers, x: Floats,
-    settings: Floats, t: float, delta: float, passes: int,
-) -> None:  # fmt: skip
+def run(c: Loop, w: Keep, count: Integers, x: Floats, settings: Floats, t: float, delta: float, passes: int) -> None:
     """``passes`` solves at ``t``, the first one from a plan that is ``delta`` [s] old."""
     for k in range(passes):
         old = delta if k == 0 else 0.0
-        refresh(c, w, parts, places, solids, gaps, hull, t, old)
+        refresh(c, w, t, old)
         status, done = receding_solve(c.m, c.o, c.numbers, c.integers, t, old, x, settings, c.log)
         count[Count.STATUS] = status
         count[Count.ITERATIONS] += done
 
 
 @compiled
-def run_from(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, count: Integers, x: Floats,
-    states: Floats, inputs: Floats, t: float,
-) -> None:  # fmt: skip
+def run_from(c: Loop, w: Keep, count: Integers, x: Floats, states: Floats, inputs: Floats, t: float) -> None:
     """Solve from states (n + 1, nx) and inputs (n, nu) of ``t``, with slacks and multipliers that restart and a barrier that falls."""
     start_from(c.m, c.o, states, inputs, False)
     for k in range(BRAKING_SOLVES):
@@ -192,7 +175,7 @@ def run_from(
         w.tuned[Setting.MAX_BARRIER] = max(w.tuned[Setting.MAX_BARRIER], w.barriers[k])
         w.tuned[Setting.BARRIER] = max(w.tuned[Setting.BARRIER], w.barriers[k])
         w.tuned[Setting.MIN_BARRIER] = max(w.tuned[Setting.MIN_BARRIER], w.barriers[k])
-        run(c, w, parts, places, solids, gaps, hull, count, x, settings=w.tuned, t=t, delta=0.0, passes=1)
+        run(c, w, count, x, settings=w.tuned, t=t, delta=0.0, passes=1)
 
 
 @compiled
@@ -240,40 +223,29 @@ def plan_stop(c: Loop, w: Keep, x: Floats, t: float, duration: float) -> None:
 
 
 @compiled
-def solve_clear(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, count: Integers, x: Floats, t: float,
-    delta: float, passes: int,
-) -> bool:  # fmt: skip
+def solve_clear(c: Loop, w: Keep, count: Integers, x: Floats, t: float, delta: float, passes: int) -> bool:
     """See :meth:`wbmpc.mpc.clearance.ClearanceRows.solve`: whether a stop is the result."""
     m, o = c.m, c.o
     if count[Count.STARTED] == 0 or w.balances > 0:
         w.guard[Guard.STOPS_AT], w.guard[Guard.SEARCH_AT] = np.inf, np.inf
-        run(c, w, parts, places, solids, gaps, hull, count, x, settings=c.settings, t=t, delta=delta, passes=passes)
+        run(c, w, count, x, settings=c.settings, t=t, delta=delta, passes=passes)
         return False
     duration = braking(c, w, x, t, delta)
     until = t + duration + REACTION
     w.guard[Guard.STOPS_AT] = np.inf
     place_nodes(c, w, t)
     predict(o[N], o[NX], m, o[GRID], m, o[X], w.grids, delta, w.ahead)
-    clear = (
-        danger(c, w, parts, places, solids, gaps, hull, x=w.ahead, at=0, nodes=w.grids, first=0, t=t, until=until)
-        == np.inf
-    )
+    clear = danger(c, w, x=w.ahead, at=0, nodes=w.grids, first=0, t=t, until=until) == np.inf
     if clear:
-        run(c, w, parts, places, solids, gaps, hull, count, x, settings=c.settings, t=t, delta=delta, passes=1)
-        clear = (
-            danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=until)
-            == np.inf
-        )
+        run(c, w, count, x, settings=c.settings, t=t, delta=delta, passes=1)
+        clear = danger(c, w, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=until) == np.inf
     if clear:
         return False
     plan_stop(c, w, x, t, duration)
-    run_from(c, w, parts, places, solids, gaps, hull, count, x, w.stop_x, w.stop_u, t)
-    found = danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=until)
+    run_from(c, w, count, x, w.stop_x, w.stop_u, t)
+    found = danger(c, w, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=until)
     place_nodes(c, w, t)
-    standing = danger(
-        c, w, parts, places, solids, gaps, hull, x=w.stop_x, at=0, nodes=w.grids, first=0, t=t, until=until
-    )
+    standing = danger(c, w, x=w.stop_x, at=0, nodes=w.grids, first=0, t=t, until=until)
     if (found == np.inf or (standing < np.inf and standing <= found)) and usable(c, count[Count.STATUS]):
         return False
     take_as_result(c, w.stop_x, w.stop_u)
@@ -282,24 +254,13 @@ def solve_clear(
 
 
 @compiled
-def search(
-    c: Loop,
-    w: Keep,
-    parts: Parts,
-    places: Places,
-    solids: Solids,
-    gaps: Gaps,
-    hull: Hull,
-    count: Integers,
-    x: Floats,
-    t: float,
-) -> None:
+def search(c: Loop, w: Keep, count: Integers, x: Floats, t: float) -> None:
     """See :meth:`wbmpc.mpc.clearance.ClearanceRows.search_is_due` and ``search``."""
     m, o, guard = c.m, c.o, w.guard
     if w.balances > 0 or guard[Guard.STOPS_AT] < np.inf:
         guard[Guard.SEARCH_AT] = np.inf
         return
-    before = danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=np.inf)
+    before = danger(c, w, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=np.inf)
     if before == np.inf:
         guard[Guard.SEARCH_AT] = np.inf
         return
@@ -313,11 +274,11 @@ def search(
     for i in range(o[N] * o[NU]):
         w.kept_u[i] = m[o[U] + i]
     if int(guard[Guard.SEARCHES]) % 2 == 0:
-        run_from(c, w, parts, places, solids, gaps, hull, count, x, w.kept_x, w.kept_u, t)
+        run_from(c, w, count, x, w.kept_x, w.kept_u, t)
     else:
         plan_stop(c, w, x, t, braking(c, w, x, t, 0.0))
-        run_from(c, w, parts, places, solids, gaps, hull, count, x, w.stop_x, w.stop_u, t)
-    found = danger(c, w, parts, places, solids, gaps, hull, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=np.inf)
+        run_from(c, w, count, x, w.stop_x, w.stop_u, t)
+    found = danger(c, w, x=m, at=o[X], nodes=m, first=o[GRID], t=t, until=np.inf)
     taken = (found == np.inf or found > before + CLEARER) and usable(c, count[Count.STATUS])
     guard[Guard.SEARCH_AT], guard[Guard.SEARCHES] = t + AGAIN, 0.0 if taken else guard[Guard.SEARCHES] + 1.0
     if not taken:
@@ -326,39 +287,45 @@ def search(
 
 
 @compiled
-def iterate(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, count: Integers, x: Floats, t: float,
-    first: int, period: float,
-) -> bool:  # fmt: skip
+def iterate(c: Loop, w: Keep, count: Integers, x: Floats, t: float, first: int, period: float) -> bool:
     """As :func:`wbmpc.solver.controller.iterate`."""
     delta = t - c.value[Value.START] if count[Count.STARTED] > 0 else 0.0
     if c.follow[0] > 0:
         follow_last(c.m, c.o, c.numbers, c.integers, c.follow, t, max(delta, period), delta)
-    if solve_clear(c, w, parts, places, solids, gaps, hull, count, x, t, delta, first):
+    if solve_clear(c, w, count, x, t, delta, first):
         count[Count.STATUS] = ITERATION_LIMIT
         count[Count.BRAKING_PLANS] += 1
     else:
-        search(c, w, parts, places, solids, gaps, hull, count, x, t)
+        search(c, w, count, x, t)
     return stayed_finite(c.m, c.o, count[Count.STATUS])
 
 
 @compiled
 def update(
-    c: Loop, w: Keep, parts: Parts, places: Places, solids: Solids, gaps: Gaps, hull: Hull, plan: Plan, offsets: Offsets,
-    count: Integers, start: Floats, room: Floats, first: int, period: float, t: float, x: Floats,
-) -> int:  # fmt: skip
+    c: Loop,
+    w: Keep,
+    plan: Plan,
+    offsets: Offsets,
+    count: Integers,
+    start: Floats,
+    room: Floats,
+    first: int,
+    period: float,
+    t: float,
+    x: Floats,
+) -> int:
     """As :func:`wbmpc.solver.controller.update`."""
     admitted = admit(c, count, start, t, x)
     if admitted < 0:
         return admitted
     started = count[Count.STARTED] > 0
     count[Count.ITERATIONS] = 0
-    known = iterate(c, w, parts, places, solids, gaps, hull, count, start, t, first, period)
+    known = iterate(c, w, count, start, t, first, period)
     if not known and not started:
         restart(c, start, room)
-        known = iterate(c, w, parts, places, solids, gaps, hull, count, start, t, first, period)
+        known = iterate(c, w, count, start, t, first, period)
     count[Count.STARTED], c.value[Value.START] = 1, t
     found = conclude(c, plan, offsets, count, start, room, t, started, known)
     if found == 0:
-        c.value[Value.CLEARANCE] = clearance(c, w, parts, places, solids, gaps, hull)
+        c.value[Value.CLEARANCE] = clearance(c, w)
     return found

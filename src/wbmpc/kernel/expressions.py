@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any
 
@@ -242,23 +243,32 @@ class Expressions(Vectors):
             return self.pointer_call(target, node)
         raise self.fail(node, "this function is not compiled")
 
-    def in_order(self, signature: Signature, node: ast.Call) -> list[ast.expr]:
-        """What a call passes for each parameter, in the order of the function's own: by position first, then by name."""
-        named, names = {k.arg or "": k.value for k in node.keywords}, [p.name for p in signature.parameters]
+    def in_order(self, parameters: Sequence[Parameter], node: ast.Call) -> list[ast.expr]:
+        """What a call passes for each of the ``parameters``, in their order: by position first, then by name."""
+        named, names = {k.arg or "": k.value for k in node.keywords}, [p.name for p in parameters]
         given = list(zip(names, node.args, strict=False))
         if sorted([*named, *(name for name, _ in given)]) != sorted(names) or len(given) != len(node.args):
             raise self.fail(node, f"needs each argument once; valid: {', '.join(names)}")
         named |= dict(given)
         return [named[name] for name in names]
 
-    def passed(self, parameter: Parameter, node: ast.expr) -> list[Value]:
-        """The arguments of a parameter: of a record the fields of one of the same kind."""
-        if parameter.record is None:
-            return [self.value(node)]
-        own = [p for p in self.signature.parameters if isinstance(node, ast.Name) and p.name == node.id]
-        if not own or own[0].record is not parameter.record:
-            raise self.fail(node, f"'{parameter.name}' needs a record of the kind {parameter.record.__name__}")
-        return [self.load(place) for place in own[0].places]
+    def passed(self, parameters: Sequence[Parameter], node: ast.Call) -> list[Value]:
+        """The arguments that a call passes for ``parameters``: of a record its numbers and arrays."""
+        pairs = zip(parameters, self.in_order(parameters, node), strict=True)
+        return [v for p, given in pairs for v in (self.record(p, given) if p.record else [self.value(given)])]
+
+    def record(self, parameter: Parameter, node: ast.expr) -> list[Value]:
+        """The numbers and arrays of a record: of one of the same kind that the function has, or of one that is made here."""
+        if isinstance(node, ast.Call) and self.names.get(ast.unparse(node.func)) is parameter.record:
+            return self.passed(parameter.fields, node)
+        first, *path = ast.unparse(node).split(".")
+        own: Parameter | None = next((p for p in self.signature.parameters if p.name == first), None)
+        for name in path:
+            own = next((field for field in own.fields if field.name == name), None) if own else None
+        if own is None or own.record is not parameter.record:
+            kind = getattr(parameter.record, "__name__", "")
+            raise self.fail(node, f"'{parameter.name}' needs a record of the kind {kind}")
+        return [self.load(ast.unparse(node) + place.removeprefix(own.name)) for place in own.places]
 
     def extreme(self, word: str, node: ast.Call) -> Value:
         result = self.value(node.args[0])
@@ -311,8 +321,7 @@ class Expressions(Vectors):
         return Value(NONE, "")
 
     def library_call(self, signature: Signature, node: ast.Call) -> Value:
-        pairs = zip(signature.parameters, self.in_order(signature, node), strict=True)
-        values = [value for parameter, given in pairs for value in self.passed(parameter, given)]
+        values = self.passed(signature.parameters, node)
         arguments = [self.convert(v, k, node) for v, k in zip(values, signature.arguments, strict=True)]
         text = f"call {llvm_type(signature.result)} @{signature.symbol}("
         text += ", ".join(f"{llvm_type(g.kind)} {g.text}" for g in arguments) + ")"

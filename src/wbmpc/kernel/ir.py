@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, overload
 
@@ -93,27 +94,51 @@ def alignment(kind: Type) -> str:
     return ", align 8" if kind == VEC else ""
 
 
-def record_fields(kind: object) -> tuple[str, ...]:
-    """The names of the fields of a record, a ``NamedTuple`` of numbers and arrays; none where it is no record."""
-    return getattr(kind, "_fields", ()) if isinstance(kind, type) and issubclass(kind, tuple) else ()
-
-
 class Parameter(NamedTuple):
-    """A parameter of a function: its name, and its record, which is passed as one argument for each ``field``; None for a value."""
+    """A parameter of a function, or a field of a record: its name, and its record, a ``NamedTuple`` of numbers, arrays and records, which
+    is passed as one argument for each number and array in it; None for a value, which has a ``kind``."""
 
     name: str
     record: Callable[..., Any] | None
-    fields: tuple[str, ...]
+    fields: tuple[Parameter, ...] = ()
+    kind: Type = NONE
+
+    @classmethod
+    def of(cls, function: Callable[..., Any], name: str, annotation: object, names: dict[str, Any]) -> Parameter:
+        """From its annotation, of which ``names`` has the records."""
+        text = getattr(annotation, "__forward_arg__", annotation)
+        record = names.get(text) if isinstance(text, str) else text
+        if not (isinstance(record, type) and issubclass(record, tuple) and hasattr(record, "_fields")):
+            return cls(name, None, (), _annotated(function, text))
+        own = vars(sys.modules[record.__module__])
+        fields = (cls.of(function, field, record.__annotations__[field], own) for field in record._fields)
+        return cls(name, record, tuple(fields))
 
     @property
-    def places(self) -> tuple[str, ...]:
+    def values(self) -> list[Parameter]:
+        """The parameter itself, or all numbers and arrays of its record."""
+        return [value for field in self.fields for value in field.values] if self.record else [self]
+
+    @property
+    def places(self) -> list[str]:
         """What translated code calls its arguments."""
-        return tuple(f"{self.name}.{field}" for field in self.fields) if self.record else (self.name,)
+        inner = [place for field in self.fields for place in field.places]
+        return [f"{self.name}.{place}" for place in inner] if self.record else [self.name]
+
+    def structured(self, values: Iterator[Any]) -> Any:
+        """The next of flat arguments as the function's source takes them."""
+        return self.record(*[field.structured(values) for field in self.fields]) if self.record else next(values)
+
+    def flat(self, value: Any) -> list[Any]:
+        """Its arguments of machine code."""
+        if self.record is None:
+            return [value]
+        return [v for field, part in zip(self.fields, value, strict=True) for v in field.flat(part)]
 
 
 class Signature(NamedTuple):
-    """LLVM name, result, argument types and their names, of a function that translated code may call. The arguments of a record are its
-    fields, by their own names."""
+    """LLVM name, result and parameters of a function that translated code may call, with the types and names of its arguments: those of
+    a record are its numbers and arrays, by their own names."""
 
     symbol: str
     result: Type
@@ -125,30 +150,22 @@ class Signature(NamedTuple):
     def of(cls, function: Callable[..., Any]) -> Signature:
         """The signature of a function of translated Python from its annotations (as text: ``from __future__ import annotations``)."""
         signature = inspect.signature(function)
-        parameters: list[Parameter] = []
-        arguments: list[Type] = []
-        names: list[str] = []
-        for p in signature.parameters.values():
-            record = function.__globals__.get(p.annotation) if isinstance(p.annotation, str) else p.annotation
-            fields = record_fields(record)
-            parameters.append(Parameter(p.name, record if fields else None, fields))
-            kinds = [record.__annotations__[field] for field in fields] if fields else [p.annotation]
-            arguments += [_annotated(function, getattr(kind, "__forward_arg__", kind)) for kind in kinds]
-            names += fields or [p.name]
+        known = function.__globals__
+        parameters = [Parameter.of(function, p.name, p.annotation, known) for p in signature.parameters.values()]
+        values = [value for p in parameters for value in p.values]
         symbol = f"{function.__module__.rsplit('.', 1)[-1]}_{function.__name__}"
         result = _annotated(function, signature.return_annotation)
-        return cls(symbol, result, tuple(arguments), tuple(names), tuple(parameters))
+        kinds, names = tuple(v.kind for v in values), tuple(v.name for v in values)
+        return cls(symbol, result, kinds, names, tuple(parameters))
 
     def structured(self, flat: Sequence[Any]) -> list[Any]:
         """Flat arguments as the function's source takes them."""
         values = iter(flat)
-        return [p.record(*(next(values) for _ in p.fields)) if p.record else next(values) for p in self.parameters]
+        return [p.structured(values) for p in self.parameters]
 
     def flat(self, structured: Sequence[Any]) -> list[Any]:
         """The arguments of machine code."""
-        return [
-            v for p, value in zip(self.parameters, structured, strict=True) for v in (value if p.record else (value,))
-        ]
+        return [v for p, value in zip(self.parameters, structured, strict=True) for v in p.flat(value)]
 
 
 class Lines:

@@ -13,6 +13,7 @@ from wbmpc.kernel.codegen_target import compile_module, load_object, target_text
 from wbmpc.kernel.scalar import DECLARATIONS, OutputMap, emit_function
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.ocp import Transcription
+from wbmpc.ocp.derivatives import exact_derivatives
 
 #: The functions of second derivatives.
 SECOND = ("lagrangian", "dynamics_hessian", "end_lagrangian")
@@ -47,7 +48,7 @@ def build_exact_hessian(
     key = hashlib.sha256(f"exact Hessian {problem_key}".encode()).hexdigest()
     found = cache.load(key, target=target_text()) if use_cache else None
     if found is None:
-        functions = transcription.exact_derivatives()
+        functions = exact_derivatives(transcription)
         maps = second_maps(functions, sizes.lz, sizes.lx, sizes.nx)
         parts = [emit_function(functions[name], f"w_{name}", maps[name]) for name in SECOND]
         code = compile_module("\n".join([DECLARATIONS, *parts]))

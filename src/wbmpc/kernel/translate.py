@@ -9,9 +9,10 @@ Eight numbers at a time: ``m[i : i + LANES]`` is one vector, to read or to write
 of a vector.
 
 Types are those of the annotations: ``float``, ``int``, ``bool``, :class:`~wbmpc.kernel.ir.Floats`, ``Integers``, ``Vector``, ``Mask``,
-tuples of them. A parameter may be a record, a ``NamedTuple`` of numbers and arrays: its fields are read (``w.radius[i]``), it is
-passed on as a whole, and an array of it may get a local name (``radius = w.radius``). Constants are module-level numbers, members of
-an ``IntEnum`` (``State.BARRIER``: named entries of an array) and fields of a frozen dataclass instance (settings of a component).
+tuples of them. A parameter may be a record, a ``NamedTuple`` of numbers, arrays and records: its fields are read (``w.radius[i]``), it
+is passed on as a whole or made in the call (``f(Wheel(radius, i))``), and an array of it may get a local name (``radius = w.radius``).
+Constants are module-level numbers, members of an ``IntEnum`` (``State.BARRIER``: named entries of an array) and fields of a frozen
+dataclass instance (settings of a component).
 
 The same functions run as ordinary Python, which is how the interpreted twin and the tests use them (there a slice is a view:
 read it before it is written to).

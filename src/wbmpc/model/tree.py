@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from wbmpc import lie
+from wbmpc.constants import TELESCOPE
 from wbmpc.errors import InputError, unknown_name
 
 Kind = Literal["fixed", "revolute", "prismatic"]
@@ -17,8 +18,6 @@ _KINDS: dict[mujoco.mjtJoint, Kind] = {
     mujoco.mjtJoint.mjJNT_HINGE: "revolute",
     mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
 }
-#: Slides are those of one telescope if the cosine of their axes is more.
-PARALLEL = 0.999
 
 
 @dataclass(frozen=True)
@@ -110,6 +109,16 @@ class Tree:
             position, rotation = (np.zeros(3), np.eye(3)) if link.parent < 0 else poses[link.parent]
             poses.append((position + rotation @ link.position, rotation @ link.rotation))
         return poses
+
+    def section_before(self, link: int) -> int:
+        """The link that this one slides on along the same direction, as a telescope's section on the one before; −1: there is none."""
+        links, poses, above = self.links, self.zero_poses(), self.links[link].parent
+        while above >= 0 and links[above].kind == "fixed":
+            above = links[above].parent
+        if above < 0 or not links[link].kind == links[above].kind == "prismatic":
+            return -1
+        one, other = (poses[i][1] @ links[i].axis for i in (link, above))
+        return above if abs(float(one @ other)) > TELESCOPE else -1
 
 
 def read_tree(spec: mujoco.MjSpec, root: str, without: tuple[str, ...] = ()) -> Tree:

@@ -203,13 +203,13 @@ def _read(robot: RobotModel) -> list[RobotShape]:
 
 
 def _by_hand(shape: ShapeDescription) -> Solid:
-    center, q = np.array(shape.center or (0.0, 0.0, 0.0)), np.array(shape.orientation or (1.0, 0.0, 0.0, 0.0))
     if shape.kind == "sphere":
-        return solids.sphere(shape.radius or 0.0, center)
+        return solids.sphere(shape.radius, np.array(shape.center))
     if shape.kind == "box":
+        q = np.array(shape.orientation)
         turn = lie.quaternion_to_rotation(q / np.linalg.norm(q))
-        return Solid("box", np.array(shape.half, float), center, turn)
-    return solids.along(shape.kind, np.array(shape.a, float), np.array(shape.b, float), shape.radius or 0.0)
+        return Solid("box", np.array(shape.half, float), np.array(shape.center), turn)
+    return solids.along(shape.kind, np.array(shape.a, float), np.array(shape.b, float), shape.radius)
 
 
 def _raw_model(description: RobotDescription) -> mujoco.MjModel:

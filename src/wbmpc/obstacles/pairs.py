@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.model.tree import PARALLEL
 from wbmpc.obstacles.collider import Collider
 from wbmpc.obstacles.geometry import RobotGeometry, path_of, rigid_link, robot_geometry
 from wbmpc.robots.findings import Finding
@@ -205,15 +204,9 @@ def _adjacent(robot: RobotModel, a: str, b: str) -> bool:
     """Whether at most one joint moves a frame against another, or they are sections of one telescope, which go into each other."""
     tree = robot.tree
     above, below = sorted((path_of(robot, tree.frames[f].link) for f in (a, b)), key=len)
-    moving = [i for i in set(above) ^ set(below) if tree.links[i].joint is not None]
-    if len(moving) <= 1:
-        return True
-    branched = any(tree.links[i].joint is not None for i in set(above) - set(below))
-    if branched or any(tree.links[i].kind != "prismatic" for i in moving):
-        return False
-    poses = tree.zero_poses()
-    axes = [poses[i][1] @ tree.links[i].axis for i in moving]
-    return all(abs(float(axes[0] @ axis)) > PARALLEL for axis in axes)
+    between = set(above) ^ set(below)
+    moving = [i for i in (*above, *below) if i in between and tree.links[i].joint is not None]
+    return all(tree.section_before(link) == before for before, link in pairwise(moving))
 
 
 _PROPOSALS: WeakKeyDictionary[RobotModel, Proposal] = WeakKeyDictionary()

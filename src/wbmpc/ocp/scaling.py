@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.model.tree import PARALLEL
 
 if TYPE_CHECKING:
     from wbmpc.model.robot import RobotModel
@@ -56,14 +55,11 @@ def _shared(robot: RobotModel, sizes: Array) -> Array:
 
 def telescopes(robot: RobotModel) -> list[list[int]]:
     """Arm joints (by their order in the state) that slide one on the other along one direction."""
-    links, poses, found = robot.tree.links, robot.tree.zero_poses(), dict[int, list[int]]()
-    axis = lambda i: poses[i][1] @ links[i].axis
+    found: dict[int, list[int]] = {}
     for number, name in enumerate(robot.state.groups["arm"]):
-        first = link = robot.tree.joint(name)
-        while links[first].kind == "prismatic" and link >= 0 and links[link].kind != "revolute":
-            if links[link].kind == "prismatic" and abs(float(axis(link) @ axis(first))) > PARALLEL:
-                first = link
-            link = links[link].parent
+        first = robot.tree.joint(name)
+        while (before := robot.tree.section_before(first)) >= 0:
+            first = before
         found.setdefault(first, []).append(number)
     return [joints for joints in found.values() if len(joints) > 1]
 

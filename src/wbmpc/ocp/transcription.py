@@ -7,7 +7,7 @@ model's parameters and all weights, so that weights change without a new compila
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -27,6 +27,7 @@ from wbmpc.ocp.constraint_classification import (
     nonlinear_equalities,
     nonlinear_in_inputs,
 )
+from wbmpc.ocp.derivatives import stage_derivatives
 from wbmpc.ocp.input_rows import InputPlanes, input_bounds, input_planes, nonlinear_rows
 from wbmpc.ocp.norms import AugmentedLagrangian, RelaxedBarrier
 from wbmpc.ocp.problem import OptimalControlProblem
@@ -51,17 +52,12 @@ class _Slots:
         return cls(slices, start)
 
 
-def _function(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX | ca.DM]) -> ca.Function:
-    """A function with common parts computed once."""
-    return ca.Function(name, inputs, [ca.SX(e) for e in ca.cse(outputs)])
-
-
 #: Equality rows of more than this softness are variables of their own in the line search.
 MIN_SOFTNESS = 1e-5
 
 
 class Transcription:
-    """ViewScene functions of a problem and the meaning of their parameter vectors."""
+    """Stage functions of a problem and the meaning of their parameter vectors."""
 
     def __init__(self, ocp: OptimalControlProblem, exact: bool = False) -> None:
         """``exact``: second derivatives too, for an exact Hessian of the Lagrangian."""
@@ -218,7 +214,7 @@ class Transcription:
     @property
     def rates(self) -> ca.SX:
         """ẋ, (nx, 1)."""
-        return self._f[0]
+        return self.linearized[0]
 
     def term_values(self, stage: str) -> dict[str, ca.SX]:
         """The weighted value of every cost, and the residual of every constraint, at ``stage`` (path or terminal)."""
@@ -230,7 +226,7 @@ class Transcription:
                 out[cost.name] = weight * cost.norm.value(self.residual(cost))
         return out
 
-    def _pieces(self, stage: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
+    def pieces(self, stage: str) -> list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
         """(residual, value, gradient by the residual, curvature) of every cost and general barrier at ``stage``."""
         out = []
         for cost in self.ocp.costs:
@@ -248,24 +244,14 @@ class Transcription:
             out.append((h, switch * b.value(h), switch * b.gradient(h), switch * b.curvature(h)))
         return out
 
-    def _value(self, stage: str) -> ca.SX:
-        return sum((ca.sum1(v) for _, v, _, _ in self._pieces(stage)), ca.SX(0))
-
-    def _quadratic(self, stage: str, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Value, gradient and Gauss-Newton Hessian (upper triangle with a full diagonal) by z."""
-        n = z.shape[0]
-        value, gradient, hessian = ca.SX(0), ca.SX(n, 1), ca.SX(n, n)
-        for r, v, g, c in self._pieces(stage):
-            jacobian = ca.jacobian(r, z)
-            value += ca.sum1(v)
-            gradient += jacobian.T @ g
-            hessian += jacobian.T @ (ca.repmat(c, 1, n) * jacobian)
-        structural = ca.SX(ca.Sparsity.diag(n), ca.SX.zeros(n))
-        return value, ca.densify(gradient), ca.triu(hessian) + structural
+    def value(self, stage: str) -> ca.SX:
+        """The cost at ``stage``, with general barriers."""
+        return sum((ca.sum1(v) for _, v, _, _ in self.pieces(stage)), ca.SX(0))
 
     # ------------------------------------------------------------------ stage functions
     @cached_property
-    def _f(self) -> tuple[ca.SX, ca.SX]:
+    def linearized(self) -> tuple[ca.SX, ca.SX]:
+        """ẋ (nx, 1) and its derivatives by z."""
         parameters = self.symbols("").parameters
         f, jacobian = self.ocp.dynamics.jacobian(self.x, self.u, parameters, self._mode())
         return ca.SX(f), ca.SX(jacobian)
@@ -302,71 +288,16 @@ class Transcription:
         f = self.ocp.dynamics(self.x, self.u, self.symbols("").parameters, self._mode())
         make = lambda name, inputs, out: ca.Function(name, inputs, ca.cse([ca.densify(ca.SX(out))]))
         return {
-            "dynamics": make("dynamics", args, f), "cost": make("cost", args, self._value("path")),
+            "dynamics": make("dynamics", args, f), "cost": make("cost", args, self.value("path")),
             "equality": make("equality", args, self.equality), "rows": make("rows", args, self.path.expression()),
-            "terminal": make("terminal", end, self._value("terminal")),
+            "terminal": make("terminal", end, self.value("terminal")),
             "end_rows": make("end_rows", end, self.end.expression()), "jump": make("jump", end, self.jump),
         }  # fmt: skip
 
     @cached_property
     def derivatives(self) -> dict[str, ca.Function]:
-        """Functions with derivatives. Path costs come multiplied by the interval h [s]."""
-        args, at_end = [self.x, self.u, self.p, self.w], [self.x, self.p, self.w]
-        f, jacobian = self._f
-        value, gradient, hessian = self._quadratic("path", self.z)
-        end = self._quadratic("terminal", self.x)
-        with_jacobian = lambda e, z: [ca.densify(e), ca.jacobian(e, z)]
-        h = self.h
-        return {
-            "dynamics_jacobian": _function("dynamics_jacobian", args, [ca.densify(f), jacobian]),
-            "cost_quadratic": _function("cost_quadratic", [*args, h], [h * value, h * gradient, h * hessian]),
-            "equality_jacobian": _function("equality_jacobian", args, with_jacobian(self.equality, self.z)),
-            "rows_jacobian": _function("rows_jacobian", args, with_jacobian(self.path.expression(), self.z)),
-            "terminal_quadratic": _function("terminal_quadratic", at_end, list(end)),
-            "end_rows_jacobian": _function("end_rows_jacobian", at_end, with_jacobian(self.end.expression(), self.x)),
-            "jump_jacobian": _function("jump_jacobian", at_end, with_jacobian(self.jump, self.x)),
-            **self._second_derivatives(),
-        }
-
-    def _second_derivatives(self) -> dict[str, ca.Function]:
-        """What the exact Hessian of the Lagrangian has and the Gauss-Newton one has not.
-
-        Without ``exact``: νᵀ equalities + h κᵀ rows by the inputs alone, where they are nonlinear in them, else nothing.
-        """
-        if self.exact:
-            return self.exact_derivatives()
-        args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
-        nu, kappa, last, adjoint = self._multipliers()
-        nothing = [ca.SX(1, 1)]
-        return {
-            "lagrangian": _function("lagrangian", [*args, nu, kappa], self._curvature(nu, kappa) or nothing),
-            "dynamics_hessian": _function("dynamics_hessian", [*args, adjoint], nothing),
-            "end_lagrangian": _function("end_lagrangian", [*at_end, last], nothing),
-        }
-
-    def _multipliers(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """ν of equalities, κ of the rows along the path and at the end, a of the dynamics."""
-        path, end = self.path.expression().shape[0], self.end.expression().shape[0]
-        sizes = {"nu": self.equality.shape[0], "kappa": path, "last": end, "a": self.nx}
-        nu, kappa, last, adjoint = (ca.SX.sym(name, size) for name, size in sizes.items())
-        return nu, kappa, last, adjoint
-
-    def exact_derivatives(self) -> dict[str, ca.Function]:
-        """``lagrangian`` (…, h, ν, κ): second derivatives of h cost + νᵀ equalities + h κᵀ rows that the Gauss-Newton Hessian has
-        not; ``end_lagrangian`` the same at the end; ``dynamics_hessian`` (…, h, a): of aᵀ f."""
-        args, at_end = [self.x, self.u, self.p, self.w, self.h], [self.x, self.p, self.w]
-        nu, kappa, last, adjoint = self._multipliers()
-        path = self.h * (self._value("path") + ca.dot(kappa, self.path.expression())) + ca.dot(nu, self.equality)
-        end = self._value("terminal") + ca.dot(last, self.end.expression())
-        more = lambda f, z, gauss_newton: ca.triu(ca.hessian(f, z)[0]) - gauss_newton
-        path_more = more(path, self.z, self.h * self._quadratic("path", self.z)[2])
-        end_more = more(end, self.x, self._quadratic("terminal", self.x)[2])
-        curvature = ca.triu(ca.hessian(ca.dot(adjoint, self.rates), self.z)[0])
-        return {
-            "lagrangian": _function("lagrangian", [*args, nu, kappa], [path_more]),
-            "dynamics_hessian": _function("dynamics_hessian", [*args, adjoint], [curvature]),
-            "end_lagrangian": _function("end_lagrangian", [*at_end, last], [end_more]),
-        }
+        """See :func:`wbmpc.ocp.derivatives.stage_derivatives`."""
+        return stage_derivatives(self)
 
     def bent_terms(self) -> set[str]:
         """Names of the equalities, and of constraints with multipliers, that have second derivatives by the inputs."""
@@ -378,11 +309,3 @@ class Transcription:
     def second(self) -> bool:
         """Whether there are second derivatives at all."""
         return self.exact or self.nonlinear_input_rows or self.nonlinear_equalities
-
-    def _curvature(self, nu: ca.SX, kappa: ca.SX) -> list[ca.SX]:
-        """[Hessian of νᵀ equalities + h κᵀ rows by the inputs, upper triangle in the size of z]; empty where none is curved."""
-        if not self.second:
-            return []
-        rows = self.h * ca.dot(kappa, self.path.expression()) + ca.dot(nu, self.equality)
-        second = ca.triu(ca.hessian(rows, self.u)[0])
-        return [ca.diagcat(ca.SX(self.nx, self.nx), second)]

@@ -39,7 +39,7 @@ def export(
 
 
 def file_name(topic: str) -> str:
-    """``hand_pose`` for ``/end_effector/pose``."""
+    """``ground_truth_end_effector`` for ``/ground_truth/end_effector``."""
     return topic.strip("/").replace("/", "_")
 
 
@@ -53,7 +53,7 @@ def _csv(tables: dict[str, Table], paths: list[Path]) -> None:
 
 
 def _npz(tables: dict[str, Table], paths: list[Path]) -> None:
-    """Arrays TOPIC/COLUMN and TOPIC/time, as ``hand_pose/pose.position.x``."""
+    """Arrays TOPIC/COLUMN and TOPIC/time, as ``end_effector_pose/pose.position.x``."""
     arrays: dict[str, np.ndarray] = {}
     for name, table in tables.items():
         arrays[f"{file_name(name)}/time"] = table.times

@@ -18,9 +18,9 @@ _PICTURE = 60
 #: How topics are drawn in 3D, where a recording has them.
 _DRAWN: dict[str, dict[str, Any]] = {
     "/plan": {"type": "line", "lineWidth": 0.02, "gradient": ["#28a05aff", "#28a05aff"]},
-    "/plan/end_effector": {"type": "line", "lineWidth": 0.02, "gradient": ["#1e6edcff", "#1e6edcff"]},
-    "/end_effector/reference": {"type": "axis", "axisScale": 0.2},
-    "/end_effector/pose": {"type": "axis", "axisScale": 0.12},
+    "/end_effector_plan": {"type": "line", "lineWidth": 0.02, "gradient": ["#1e6edcff", "#1e6edcff"]},
+    "/end_effector_reference": {"type": "axis", "axisScale": 0.2},
+    "/ground_truth/end_effector": {"type": "axis", "axisScale": 0.12},
 }
 
 
@@ -74,7 +74,7 @@ def _picture(recording: Recording) -> dict[str, Any]:
 def _plots(recording: Recording) -> list[dict[str, Any]]:
     """Where the end effector is and should be, solve times, joint speeds and drive forces, contact forces."""
     topics = recording.topics
-    poses = [("/end_effector/pose_odom", "end effector"), ("/end_effector/reference", "reference")]
+    poses = [("/end_effector_pose", "end effector"), ("/end_effector_reference", "reference")]
     hands = [(f"{t}.pose.position.{a}", f"{a}, {name}") for a in "xyz" for t, name in poses if t in topics]
     solve = [(f"/mpc/{n}.data", n.replace("_", " ")) for n in ("solve_time", "period") if f"/mpc/{n}" in topics]
     states_topic = topics.get("/joint_states")

@@ -73,8 +73,8 @@ def positions(recording: Recording, topic: str) -> tuple[np.ndarray, np.ndarray]
 def end_effector_error(recording: Recording) -> tuple[np.ndarray, np.ndarray] | None:
     """Times (n,) and distances (n,) [m] of end effector and reference in the estimated frame; None without a reference."""
     end_effector, target = (
-        positions(recording, "/end_effector/pose_odom"),
-        positions(recording, "/end_effector/reference"),
+        positions(recording, "/end_effector_pose"),
+        positions(recording, "/end_effector_reference"),
     )
     if end_effector is None or target is None:
         return None
@@ -83,7 +83,7 @@ def end_effector_error(recording: Recording) -> tuple[np.ndarray, np.ndarray] | 
 
 
 def _end_effector_path(recording: Recording) -> Plot | None:
-    named = {"end effector": "/end_effector/pose_odom", "end effector, reference": "/end_effector/reference"}
+    named = {"end effector": "/end_effector_pose", "end effector, reference": "/end_effector_reference"}
     found = {name: positions(recording, topic) for name, topic in named.items()}
     lines = [Series(n, p[1][:, 0], p[1][:, 1], "reference" in n) for n, p in found.items() if p is not None]
     return Plot("End effector from above, estimated frame", "x [m]", "y [m]", lines, equal_axes=True) if lines else None

@@ -190,12 +190,12 @@ class Recorder:
         }  # fmt: skip
         self._fill("/joint_states", "sensor_msgs/JointState", None, joints, make)
         self._odometry_message(moment.estimated)
-        self._pose("/end_effector/pose", MAP, moment.end_effector)
+        self._pose("/ground_truth/end_effector", MAP, moment.end_effector)
         in_odom = lie.pose_compose(moment.estimated, lie.pose_between(moment.base, moment.end_effector))
-        self._pose("/end_effector/pose_odom", ODOM, in_odom)
+        self._pose("/end_effector_pose", ODOM, in_odom)
         goal = self._observer.end_effector_goal(self._last - self._start)
         if goal is not None:
-            self._pose("/end_effector/reference", ODOM, goal)
+            self._pose("/end_effector_reference", ODOM, goal)
 
     def _odometry_message(self, pose: Array) -> None:
         """Write the odometry; its twist is the difference of the last two estimates, in axes of the base."""
@@ -282,7 +282,7 @@ class Recorder:
             self._mode = mode
             self._put("/mode", "std_msgs/String", {"data": mode}, latched=True)
         paths = self._observer.plan(plans)
-        for topic, path in zip(("/plan", "/plan/end_effector"), paths, strict=True):
+        for topic, path in zip(("/plan", "/end_effector_plan"), paths, strict=True):
             if len(path):
                 self._fill(topic, "nav_msgs/Path", len(path), ros_pose(path), partial(self._path_message, path))
         return paths

@@ -28,40 +28,50 @@ def _two(pair: tuple[str, str]) -> tuple[str, str]:
 Pair = Annotated[tuple[str, str], AfterValidator(_two)]
 #: ``auto`` in a file is None.
 _Auto = BeforeValidator(lambda value: None if value == "auto" else value)
-#: Keys of each kind of shape.
-_NEEDED: dict[str, tuple[str, ...]] = {
-    "sphere": ("radius", "center"), "capsule": ("radius", "a", "b"), "cylinder": ("radius", "a", "b"),
-    "box": ("half", "center"),
-}  # fmt: skip
 
 
-class ShapeDescription(Section):
-    """A shape fixed to a ``frame`` (body or site), in its axes [m]: sphere (``radius``, ``center``), capsule or cylinder (``radius``,
-    ``a``, ``b``), box (``half``, ``center``, ``orientation`` w, x, y, z)."""
+def _unit(q: tuple[float, ...]) -> tuple[float, ...]:
+    if not 0.99 < sum(v * v for v in q) < 1.01:
+        raise ValueError("a unit quaternion (w, x, y, z) is needed")
+    return q
 
+
+class SphereDescription(Section):
+    """A sphere fixed to a ``frame`` (body or site), in its axes [m]."""
+
+    kind: Literal["sphere"]
     frame: str
-    kind: Literal["sphere", "capsule", "cylinder", "box"]
-    radius: _Size | None = None
-    center: _Point | None = None
-    a: _Point | None = None
-    b: _Point | None = None
-    half: tuple[_Size, _Size, _Size] | None = None
-    orientation: tuple[_Unit, _Unit, _Unit, _Unit] | None = None
+    radius: _Size
+    center: _Point = (0.0, 0.0, 0.0)
+
+
+class RoundDescription(Section):
+    """A capsule or cylinder fixed to a ``frame``, in its axes [m]: ``radius`` about the line from ``a`` to ``b``."""
+
+    kind: Literal["capsule", "cylinder"]
+    frame: str
+    radius: _Size
+    a: _Point
+    b: _Point
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
-        needed = _NEEDED[self.kind]
-        allowed = {"frame", "kind", *needed, *(("orientation",) if self.kind == "box" else ())}
-        for key in needed:
-            if getattr(self, key) is None and key != "center":
-                raise ValueError(f"a {self.kind} needs '{key}'")
-        for key in self.model_fields_set - allowed:
-            raise ValueError(f"a {self.kind} does not read '{key}'; valid: {', '.join(needed)}")
-        if self.a is not None and self.a == self.b and self.kind == "cylinder":
+    def _long(self) -> Self:
+        if self.a == self.b and self.kind == "cylinder":
             raise ValueError("a cylinder needs two points that differ, 'a' and 'b'")
-        if self.orientation is not None and not 0.99 < sum(v * v for v in self.orientation) < 1.01:
-            raise ValueError("'orientation' needs a unit quaternion (w, x, y, z)")
         return self
+
+
+class BoxDescription(Section):
+    """A box fixed to a ``frame``, in its axes [m]: ``half`` its edges, ``orientation`` (w, x, y, z)."""
+
+    kind: Literal["box"]
+    frame: str
+    half: tuple[_Size, _Size, _Size]
+    center: _Point = (0.0, 0.0, 0.0)
+    orientation: Annotated[tuple[_Unit, _Unit, _Unit, _Unit], AfterValidator(_unit)] = (1.0, 0.0, 0.0, 0.0)
+
+
+ShapeDescription = SphereDescription | RoundDescription | BoxDescription
 
 
 class SelfCollisionDescription(Section):
@@ -77,7 +87,7 @@ class CollisionDescription(Section):
     """``shapes``: of the model's file (``auto``), or by hand; ``margin`` [m]: distance to obstacles that is kept; ``floor``: whether there is
     a floor at the robot's feet that its arm keeps clear of; ``self``: see :class:`SelfCollisionDescription`."""
 
-    shapes: Annotated[tuple[ShapeDescription, ...] | None, _Auto] = None
+    shapes: Annotated[tuple[Annotated[ShapeDescription, Field(discriminator="kind")], ...] | None, _Auto] = None
     margin: _Margin = 0.03
     floor: bool = True
     self: SelfCollisionDescription = SelfCollisionDescription()

@@ -47,12 +47,6 @@ LONGEST_NAME = 64
 JOINT_LIMITS = ("velocity", "actuator_velocity", "acceleration", "effort", "position")
 
 
-def _moves(value: float) -> float:
-    if value < 1e-6:
-        raise ValueError("input should be 1e-06 or more")
-    return value
-
-
 def _robot_name(value: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", value) or len(value) > LONGEST_NAME:
         raise ValueError(
@@ -62,7 +56,7 @@ def _robot_name(value: str) -> str:
 
 
 #: A limit of a machine, in SI units: what is smaller is a standstill, what is larger no limit.
-_Limit = Annotated[float, Field(gt=0, le=1e6), AfterValidator(_moves)]
+_Limit = Annotated[float, Field(gt=0, ge=1e-6, le=1e6)]
 _Place = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wbmpc.constants import TELESCOPE
 from wbmpc.robots.arm_search import TOOLS, find_arms, is_gripper
 from wbmpc.robots.findings import Finding, Severity
 from wbmpc.robots.mechanism import Joint, Mechanism
@@ -227,7 +228,7 @@ def check_telescopes(subject: Subject) -> Iterator[Finding]:
     names = {
         k.name: None
         for a, b in pairs
-        if a.kind == "slide" and abs(a.axis @ b.axis) > 0.999 and b.drive.mimics is None and b.name not in coupled
+        if a.kind == "slide" and abs(a.axis @ b.axis) > TELESCOPE and b.drive.mimics is None and b.name not in coupled
         for k in (a, b)
     }
     if names:

@@ -16,6 +16,7 @@ from itertools import product
 import mujoco
 import numpy as np
 
+from wbmpc.constants import TELESCOPE
 from wbmpc.kernel.ir import Floats, Integers
 from wbmpc.kernel.step import bind
 from wbmpc.robots.checks import compiled
@@ -51,8 +52,6 @@ ALLOWED = frozenset({(FLOOR, ROLLS), (TOUCHES, TOUCHED)})
 _ALLOWED_EITHER_WAY = ALLOWED | {(second, first) for first, second in ALLOWED}
 #: Hulls that come nearer than this [m] to the floor under the standing robot are drawn wheels and casters: they do not touch it.
 DRAGS = 0.002
-#: Slides are those of one telescope if the cosine of their axes is more.
-PARALLEL = 0.999
 #: Two parts that have been apart for less than this [s] touch in the same event; the clearance is checked every so often [s].
 APART, INTERVAL = 0.1, 0.01
 #: Distances beyond this [m] are not looked for.
@@ -122,7 +121,7 @@ def _nested(m: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
             along = data.xaxis[m.body_jntadr[part]]
             first, part = not section.any(), weld[m.body_parentid[part]]
             # the world and what stands in it is no section
-            if part == 0 or not (first or abs(section @ along) > PARALLEL):
+            if part == 0 or not (first or abs(section @ along) > TELESCOPE):
                 break
             section = along
             if first:  # bodies that one joint connects do not collide anyway

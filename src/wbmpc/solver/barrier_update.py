@@ -12,13 +12,7 @@ import numpy as np
 
 from wbmpc.solver.compilation import Floats, compiled
 from wbmpc.solver.memory_layout import StateField
-
-#: For how many iterations the error is remembered, and by how much it has to fall below their largest.
-MEMORY, DECREASE = 4, 0.9
-#: Products that are even allow μ = 0 next; as little as this share of their power of 1.5 converges as fast.
-STEEPEST = 0.1
-#: Slacks that allow less of a step are far from where a small μ belongs.
-SHORT = 0.1
+from wbmpc.solver.settings import THRESHOLDS
 
 
 @compiled
@@ -45,7 +39,7 @@ def raised_mu(mu: float, most: float, reach: float) -> float:
 def start_adaptive(m: Floats, state: int) -> None:
     """No error is known, and μ follows the products."""
     m[state + StateField.FREE_BARRIER] = 1.0
-    for i in range(MEMORY):
+    for i in range(THRESHOLDS.error_memory):
         m[state + StateField.ERRORS + i] = np.inf
 
 
@@ -66,9 +60,9 @@ def adaptive_mu(
     error, of_barrier = errors
     mean, smallest = products
     worst = 0.0
-    for i in range(MEMORY):
+    for i in range(THRESHOLDS.error_memory):
         worst = max(worst, m[state + StateField.ERRORS + i])
-    falls = error <= DECREASE * worst and step >= SHORT
+    falls = error <= THRESHOLDS.error_decrease * worst and step >= THRESHOLDS.short
     free = m[state + StateField.FREE_BARRIER] > 0.0
     if not free and falls and of_barrier <= 10.0 * m[state + StateField.BARRIER]:
         free = True
@@ -78,9 +72,11 @@ def adaptive_mu(
     m[state + StateField.FREE_BARRIER] = 1.0 if free else 0.0
     if not free:
         return monotone
-    for i in range(MEMORY - 1):
-        m[state + StateField.ERRORS + MEMORY - 1 - i] = m[state + StateField.ERRORS + MEMORY - 2 - i]
+    for i in range(THRESHOLDS.error_memory - 1):
+        m[state + StateField.ERRORS + THRESHOLDS.error_memory - 1 - i] = m[
+            state + StateField.ERRORS + THRESHOLDS.error_memory - 2 - i
+        ]
     m[state + StateField.ERRORS] = error
     evenness = max(smallest / mean, 1e-10)
     centering = 0.1 * min(0.05 * (1.0 - evenness) / evenness, 2.0) ** 3
-    return max(max(centering * mean, STEEPEST * mean**1.5), level)
+    return max(max(centering * mean, THRESHOLDS.steepest * mean**1.5), level)

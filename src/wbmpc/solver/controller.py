@@ -17,7 +17,6 @@ from wbmpc.solver import compilation, feedback
 from wbmpc.solver.feedback import CUT, Offsets, Plan, evaluate, hold, interval, plan_rows, planned_state
 from wbmpc.solver.memory_layout import (
     GRID,
-    LIMIT_TOLERANCE,
     LX,
     NP,
     NU,
@@ -33,6 +32,7 @@ from wbmpc.solver.memory_layout import (
     X,
 )
 from wbmpc.solver.receding import count_until, events_without_node, forget, receding_solve
+from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.termination import DIVERGED, EQUALITY_INFEASIBLE, INPUT_INFEASIBLE, NOT_FINITE
 
 LIBRARY = Library(
@@ -193,9 +193,9 @@ def take_plan(c: Loop, plan: Plan, x: Floats, t: float) -> None:
     worst = 0.0
     for i in range(nx):
         worst = max(worst, abs(m[o[X] + i] - x[i]) / (1.0 + abs(x[i])))
-    value[Value.INITIAL_STATE_MISMATCH] = worst if worst > LIMIT_TOLERANCE else 0.0
+    value[Value.INITIAL_STATE_MISMATCH] = worst if worst > THRESHOLDS.limit_tolerance else 0.0
     worst = max(m[o[STATE] + StateField.STATE_VIOLATION], m[o[STATE] + StateField.MIXED_VIOLATION])
-    value[Value.LIMIT_VIOLATION] = worst if worst > LIMIT_TOLERANCE else 0.0
+    value[Value.LIMIT_VIOLATION] = worst if worst > THRESHOLDS.limit_tolerance else 0.0
     value[Value.COST], value[Value.VIOLATION] = m[o[STATE] + StateField.COST], m[o[STATE] + StateField.VIOLATION]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu, real_time_mu, start_adaptive
+from wbmpc.solver.barrier_update import adaptive_mu, next_mu, real_time_mu, start_adaptive
 from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.inequalities import (
     limit_products,
@@ -17,7 +17,6 @@ from wbmpc.solver.inequalities import (
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
 from wbmpc.solver.line_search import compare_with_last, longest_step, roll_out, search, take, trial
 from wbmpc.solver.memory_layout import (
-    LIMIT_TOLERANCE,
     NG,
     NONLINEAR_INPUT_ROWS,
     NX,
@@ -184,7 +183,7 @@ def settle_rows(
         )
     if s[Setting.KEEP_MULTIPLIERS] > 0.0:
         after = real_time_mu(mu, level, m[state + StateField.MAX_PRIMAL_STEP])
-    elif m[state + StateField.MAX_PRIMAL_STEP] < SHORT:  # the slacks are at the boundary, far from the central path
+    elif m[state + StateField.MAX_PRIMAL_STEP] < THRESHOLDS.short:  # slacks are far from the central path
         after = min(s[Setting.MAX_BARRIER], max(after, 10.0 * mu))
     if compute_kkt and (solved or alpha > 0.9):
         if residual > s[Setting.FEASIBILITY] and residual > 0.25 * last_residual:
@@ -206,7 +205,10 @@ def restart_from_rollout(m: Floats, o: Integers, x0: Floats, s: Floats, expected
     cost that the step promises.
     """
     state = o[STATE]
-    if m[state + StateField.MAX_PRIMAL_STEP] > THRESHOLDS.jammed or initial_violation(m, o) <= LIMIT_TOLERANCE:
+    if (
+        m[state + StateField.MAX_PRIMAL_STEP] > THRESHOLDS.jammed
+        or initial_violation(m, o) <= THRESHOLDS.limit_tolerance
+    ):
         return False
     hold, most = m[state + StateField.HOLD_INPUTS], THRESHOLDS.runaway * max(1.0, expected)
     if s[Setting.KEEP_MULTIPLIERS] == 0.0:  # many iterations bring any motion back
@@ -294,14 +296,15 @@ def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float,
     short = (
         cut
         or m[state + StateField.BARRIER] > s[Setting.BARRIER]
-        or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION]) > LIMIT_TOLERANCE
+        or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION])
+        > THRESHOLDS.limit_tolerance
     )
     if limit < int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS]) and (
         short or misses_equality(m, o, s)
     ):
         return limit + 1
     if (
-        m[state + StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE
+        m[state + StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance
         and s[Setting.KEEP_MULTIPLIERS] > 0.0
         and hold + o[NG] == 0.0
     ):
@@ -356,7 +359,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         if again and restart_from_rollout(m, o, x0, s, max(abs(cost), cost + slope + 0.5 * curvature)):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
-        if it < most and m[state + StateField.MAX_PRIMAL_STEP] < SHORT and raise_barrier(m, o, s):
+        if it < most and m[state + StateField.MAX_PRIMAL_STEP] < THRESHOLDS.short and raise_barrier(m, o, s):
             limit, other = max(limit, it + 1), True
             continue
         drop = violation - m[state + StateField.REMAINING_VIOLATION]

@@ -9,7 +9,6 @@ from wbmpc.solver.compilation import LANES, Floats, Integers, Mask, Vector, comp
 from wbmpc.solver.memory_layout import (
     END_ROW_BOXES,
     END_ROW_GENERAL,
-    LIMIT_TOLERANCE,
     ROW_BOXES,
     ROW_D,
     ROW_END,
@@ -26,12 +25,11 @@ from wbmpc.solver.memory_layout import (
     RowField,
     StateField,
 )
+from wbmpc.solver.settings import THRESHOLDS
 
 HARD, MULTIPLIER, EQUAL = int(Kind.HARD), int(Kind.MULTIPLIER), int(Kind.EQUAL)
 #: Inputs that are less outside [ranges of the rows] are inside.
 ROUNDING = 1e-9
-#: A multiplier beyond this share of its L1 slack's weight says that the row gives way.
-GIVES_WAY = 0.9
 
 
 @compiled
@@ -113,12 +111,17 @@ def record_state_violations(m: Floats, o: Integers, k: int) -> None:
     state = o[STATE]
     for j in range(boxes + general):
         r, q, by = first + j, k * o[ROWS] + j, -m[o[ROW_TRIAL] + j]
-        if by <= LIMIT_TOLERANCE or bounds_inputs(m, o, r) or kind_of(m, o, r) != HARD or not counts(m, o, r, k):
+        if (
+            by <= THRESHOLDS.limit_tolerance
+            or bounds_inputs(m, o, r)
+            or kind_of(m, o, r) != HARD
+            or not counts(m, o, r, k)
+        ):
             continue
         if by > m[state + StateField.STATE_VIOLATION]:
             m[state + StateField.STATE_VIOLATION], m[state + StateField.STATE_VIOLATION_ROW] = by, q
         following = m[o[ROW_L] + q] + m[state + StateField.MAX_DUAL_STEP] * (m[o[ROW_N] + q] - m[o[ROW_L] + q])
-        if following < GIVES_WAY * row_penalty(m, o, r):
+        if following < THRESHOLDS.gives_way * row_penalty(m, o, r):
             m[state + StateField.UNRELAXED_VIOLATION] = max(m[state + StateField.UNRELAXED_VIOLATION], by)
 
 
@@ -150,5 +153,5 @@ def record_violations(m: Floats, o: Integers, k: int) -> None:
         states = np.maximum(states, np.where(of_inputs, 0.0, over))
     if np.max(inputs) > ROUNDING:
         record_input_violations(m, o, k)
-    if np.max(states) > LIMIT_TOLERANCE:
+    if np.max(states) > THRESHOLDS.limit_tolerance:
         record_state_violations(m, o, k)

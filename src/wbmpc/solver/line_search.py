@@ -38,12 +38,10 @@ from wbmpc.solver.memory_layout import (
 from wbmpc.solver.node_inequalities import end_values, rows_merit
 from wbmpc.solver.nonlinear_input_constraints import follow, hold_node
 from wbmpc.solver.riccati import backward
+from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
 from wbmpc.solver.soft_equalities import soft_equality_terms_of_block
 from wbmpc.solver.stages import interval, normalize, stage_end
-
-#: What overshooting directions shorten a step to at least.
-SHORTEST = 0.15
 
 
 @compiled
@@ -214,7 +212,7 @@ def next_longest(longest: float, last: float, along: float) -> float:
     1/c arrives (Aitken's Δ²; Nocedal and Wright 2006, section 3.5, has it as a secant of the slope).
     """
     longer = min(1.5 * longest, 1.0)
-    return min(max(last / (1.0 - along), SHORTEST), longer) if along < 0.5 else longer
+    return min(max(last / (1.0 - along), THRESHOLDS.overshot), longer) if along < 0.5 else longer
 
 
 @compiled

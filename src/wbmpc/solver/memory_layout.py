@@ -140,8 +140,6 @@ class Setting(IntEnum):
     DETECT_STALL = 20
 
 
-#: By how much planned inputs and states may be outside a hard row [its range].
-LIMIT_TOLERANCE = 1e-3
 #: Names of the settings, in order.
 SETTINGS = tuple(s.name.lower() for s in Setting)
 

@@ -60,15 +60,9 @@ from wbmpc.solver.memory_layout import (
     X,
 )
 from wbmpc.solver.node_inequalities import collect_values
+from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.simd_batch import load_block, stage_lanes, take_rows_of_lane
 from wbmpc.solver.stages import row_index
-
-#: Corrections of a node's inputs at most. A circle takes five from three times its radius, rows at acute angles many.
-CORRECTIONS = 30
-#: Where corrections aim [units of the rows], so that they end inside.
-INSIDE = 1e-6
-#: Share of a slack that a step leaves at least: with 0.01 slacks jam near zero, where steps are short.
-MIN_SHARE = 0.1
 
 
 @compiled
@@ -83,8 +77,10 @@ def inside(m: Floats, o: Integers, k: int, j: int) -> float:
     _, boxes, _ = node_rows(o, k)
     q = k * o[ROWS] + j
     if j < boxes:
-        return min(INSIDE, MIN_SHARE * m[o[ROW_T] + q])
-    return MIN_SHARE * max(m[o[ROW_T] + q], min(m[o[STATE] + StateField.BARRIER] / m[o[ROW_L] + q], MIN_SHARE))
+        return min(THRESHOLDS.inside, THRESHOLDS.kept_slack * m[o[ROW_T] + q])
+    return THRESHOLDS.kept_slack * max(
+        m[o[ROW_T] + q], min(m[o[STATE] + StateField.BARRIER] / m[o[ROW_L] + q], THRESHOLDS.kept_slack)
+    )
 
 
 # ---------------------------------------------------------------------- second derivatives
@@ -279,7 +275,7 @@ def pull_inside(m: Floats, o: Integers, k: int) -> None:
 def pulled_inside(m: Floats, o: Integers, k: int) -> bool:
     """Whether corrections take the trial inputs of node k into all held rows; else these are the best that was met. Rows are evaluated."""
     nu, u, best, minimum, share = o[NU], o[UT] + k * o[NU], o[U_BEST], np.inf, 1.0
-    for _ in range(CORRECTIONS):
+    for _ in range(THRESHOLDS.corrections):
         evaluate_trial(m, o, k)
         worst = outside(m, o, k)
         if worst == 0.0:
@@ -311,7 +307,7 @@ def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
             q = k * o[ROWS] + j
             t, h, least = m[o[ROW_T] + q], m[o[ROW_TRIAL] + j], inside(m, o, k, j)
             if j < boxes:  # of which corrections aim nearer
-                least = MIN_SHARE * t
+                least = THRESHOLDS.kept_slack * t
             if row_penalty(m, o, j) < np.inf:
                 h += m[o[ROW_S] + q] + alpha * m[o[ROW_DS] + q]
                 if h < least:  # it gives way

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
+from wbmpc.solver.memory_layout import StateField
 from wbmpc.solver.reference_direction import InterpretedDirections
 from wbmpc.solver.reference_inequalities import RowState
-from wbmpc.solver.reference_nonlinear_inputs import MIN_SHARE, aims, hold_inputs
+from wbmpc.solver.reference_nonlinear_inputs import aims, hold_inputs
+from wbmpc.solver.settings import THRESHOLDS
 
 
 class InterpretedLineSearch(InterpretedDirections):
@@ -46,7 +47,7 @@ class InterpretedLineSearch(InterpretedDirections):
             h, _ = hold_inputs(rows, held & ~rows.soft, self.mu, x, u, at)
         self._report_outside(k, rows, h)
         if alpha > 0.0:
-            least = np.where(np.arange(h.size) < rows.boxes, MIN_SHARE * rows.t, aims(rows, self.mu))
+            least = np.where(np.arange(h.size) < rows.boxes, THRESHOLDS.kept_slack * rows.t, aims(rows, self.mu))
             lacking = np.maximum(least - h - rows.s - alpha * rows.ds, 0.0)
             rows.ds = np.where(held & rows.soft, rows.ds + lacking / alpha, rows.ds)
             carried = np.where(rows.soft, rows.s + alpha * rows.ds, 0.0)
@@ -65,17 +66,16 @@ class InterpretedLineSearch(InterpretedDirections):
 
     def _report_passed(self, k: int, rows: RowState, h: np.ndarray) -> None:
         """Remember by how much node k's state is outside, where its rows are h."""
-        from wbmpc.solver.inequality_table import GIVES_WAY
 
         state, by = self.ws.state, np.where(rows.hard & rows.counts & ~rows.bounds_inputs, -h, 0.0)
-        by[by <= LIMIT_TOLERANCE] = 0.0
+        by[by <= THRESHOLDS.limit_tolerance] = 0.0
         if by.max(initial=0.0) > state[StateField.STATE_VIOLATION]:
             state[[StateField.STATE_VIOLATION, StateField.STATE_VIOLATION_ROW]] = (
                 by.max(),
                 k * self.ws.rows_h.shape[1] + int(np.argmax(by)),
             )
         state[StateField.UNRELAXED_VIOLATION] = max(
-            state[StateField.UNRELAXED_VIOLATION], by[rows.l < GIVES_WAY * rows.penalty].max(initial=0.0)
+            state[StateField.UNRELAXED_VIOLATION], by[rows.l < THRESHOLDS.gives_way * rows.penalty].max(initial=0.0)
         )
 
     def _compare_with_last(self, du: np.ndarray) -> tuple[float, float]:

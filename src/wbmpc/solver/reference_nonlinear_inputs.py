@@ -9,7 +9,7 @@ import numpy as np
 
 from wbmpc.model.numeric import Numeric
 from wbmpc.ocp import Transcription
-from wbmpc.solver.nonlinear_input_constraints import CORRECTIONS, INSIDE, MIN_SHARE
+from wbmpc.solver.settings import THRESHOLDS
 
 if TYPE_CHECKING:
     from wbmpc.solver.reference_inequalities import RowState
@@ -31,8 +31,10 @@ def curvature(
 def aims(rows: RowState, mu: float) -> np.ndarray:
     """Where corrections onto the rows of a node aim."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        general = MIN_SHARE * np.maximum(rows.t, np.minimum(mu / rows.l, MIN_SHARE))
-    return np.where(np.arange(rows.t.size) < rows.boxes, np.minimum(INSIDE, MIN_SHARE * rows.t), general)
+        general = THRESHOLDS.kept_slack * np.maximum(rows.t, np.minimum(mu / rows.l, THRESHOLDS.kept_slack))
+    return np.where(
+        np.arange(rows.t.size) < rows.boxes, np.minimum(THRESHOLDS.inside, THRESHOLDS.kept_slack * rows.t), general
+    )
 
 
 def hold_inputs(
@@ -43,7 +45,7 @@ def hold_inputs(
     ``functions``: values and Jacobian of the general rows by [x; u], of (x, u).
     """
     minimum, best, aim = np.inf, u.copy(), aims(rows, mu)
-    for sweep in range(CORRECTIONS):
+    for sweep in range(THRESHOLDS.corrections):
         general, jacobian = functions(x, u)
         z = np.concatenate([x, u])
         h = rows.values(z, general)

@@ -15,7 +15,7 @@ import numpy as np
 from wbmpc.errors import InputError
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.transcription import MIN_SOFTNESS
-from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, SETTINGS, StateField
+from wbmpc.solver.memory_layout import SETTINGS, StateField
 from wbmpc.solver.reference_line_search import InterpretedLineSearch
 from wbmpc.solver.settings import THRESHOLDS
 
@@ -170,7 +170,7 @@ class InterpretedSolver(InterpretedLineSearch):
         self, x0: np.ndarray, s: dict[str, Any], c: Any, cost: float, violation: float, row: np.ndarray, run: _Progress
     ) -> int | None:
         """What comes after a direction; a status if it is the end."""
-        from wbmpc.solver.barrier_update import SHORT, next_mu
+        from wbmpc.solver.barrier_update import next_mu
         from wbmpc.solver.termination import CONVERGED, DIVERGED, LINE_SEARCH_FAILED, NOT_FINITE
 
         size = max(np.abs(s["dx"]).max(), np.abs(s["du"]).max())
@@ -192,7 +192,7 @@ class InterpretedSolver(InterpretedLineSearch):
             run.bias = moved * self.mu / (run.last_mu - self.mu)
         last, run.last_mu = self.mu <= run.level or not self.has_rows, self.mu
         small = moved <= THRESHOLDS.settled or not last
-        blocked = min(r.reach(c.fraction_to_boundary)[1] for r in self.own) < SHORT
+        blocked = min(r.reach(c.fraction_to_boundary)[1] for r in self.own) < THRESHOLDS.short
         close = 100.0 if blocked else 10.0
         if c.compute_kkt and kkt <= c.tolerance and feasible and product <= close * self.mu and small:
             if last and (not self.has_rows or run.bias <= THRESHOLDS.bias or self.mu <= c.min_barrier):
@@ -228,12 +228,12 @@ class InterpretedSolver(InterpretedLineSearch):
 
     def _raises_barrier(self, c: Any) -> bool:
         """As raise_barrier of the compiled solver, where slacks cut the step short."""
-        from wbmpc.solver.barrier_update import SHORT, raised_mu
+        from wbmpc.solver.barrier_update import raised_mu
 
         reach = min(r.reach(c.fraction_to_boundary)[0] for r in self.own)
         weights = [THRESHOLDS.slack_share * r.penalty[r.hard].min(initial=np.inf) for r in self.own]
         most = min([c.max_barrier, *weights])
-        if reach >= SHORT or not c.keep_multipliers or self.mu >= most:
+        if reach >= THRESHOLDS.short or not c.keep_multipliers or self.mu >= most:
             return False
         self.mu = float(raised_mu.python(self.mu, most, reach))
         for rows in self.own:
@@ -246,7 +246,7 @@ class InterpretedSolver(InterpretedLineSearch):
         ahead = np.where(rows.hard & ~rows.bounds_inputs, -(rows.h + rows.change), 0.0)
         ahead[-rows.change <= 0.5 * ahead] = 0.0
         reach = min(r.reach(c.fraction_to_boundary)[0] for r in self.own)
-        if reach > THRESHOLDS.jammed or ahead.max(initial=0.0) <= LIMIT_TOLERANCE:
+        if reach > THRESHOLDS.jammed or ahead.max(initial=0.0) <= THRESHOLDS.limit_tolerance:
             return False
         hold, self.hold = self.hold, max(self.hold, 1)
         x, u = self._trial({}, 0.0, x0, True)
@@ -284,7 +284,7 @@ class InterpretedSolver(InterpretedLineSearch):
         run: _Progress,
     ) -> None:  # fmt: skip
         """As settle_rows of the compiled solver; ``lengths``: taken, primal, dual; ``found``: product, residual, violation."""
-        from wbmpc.solver.barrier_update import SHORT, adaptive_mu, next_mu, real_time_mu
+        from wbmpc.solver.barrier_update import adaptive_mu, next_mu, real_time_mu
 
         (alpha, primal, dual), (product, residual, violation) = lengths, found
         solved = not c.compute_kkt or kkt <= max(c.tolerance, 0.1 * residual)
@@ -302,7 +302,7 @@ class InterpretedSolver(InterpretedLineSearch):
             after = min(adaptive_mu.python(state, 0, after, errors, products, primal, run.level), c.max_barrier)
         if c.keep_multipliers:
             after = real_time_mu.python(self.mu, run.level, primal)
-        elif primal < SHORT:
+        elif primal < THRESHOLDS.short:
             after = min(c.max_barrier, max(after, 10.0 * self.mu))
         if c.compute_kkt and (solved or alpha > 0.9):
             if residual > c.feasibility and residual > 0.25 * run.last_residual:
@@ -325,7 +325,7 @@ class InterpretedSolver(InterpretedLineSearch):
             return
         self._watch(c)
         outside, maximum = (
-            self.ws.state[StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE,
+            self.ws.state[StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance,
             int(c.iterations) + int(c.max_extra_iterations),
         )
         if run.limit < maximum and (
@@ -357,7 +357,7 @@ class InterpretedSolver(InterpretedLineSearch):
     def _status_at_the_limit(self, c: Any, status: int) -> int:
         from wbmpc.solver.termination import EQUALITY_INFEASIBLE, INPUT_INFEASIBLE
 
-        if self.ws.state[StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE:
+        if self.ws.state[StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance:
             return INPUT_INFEASIBLE
         return EQUALITY_INFEASIBLE if self._misses_equality(c) else status
 
@@ -366,12 +366,13 @@ class InterpretedSolver(InterpretedLineSearch):
 
     def _first_equalities(self) -> float:
         """As first_equalities of the compiled solver, with the rows' slopes at the plan itself."""
-        from wbmpc.solver.riccati import MIN_SLOPE
 
         ws, state = self.ws, self.ws.state
         e, cd = self.derivatives["equality_jacobian"](ws.x[0], ws.u[0], self._p(0), ws.w)
         d = cd[:, self.problem.nx :]
-        by = np.abs(e.ravel()) / (np.maximum(np.linalg.norm(d, axis=1), MIN_SLOPE) + np.abs(d) @ np.abs(ws.u[0]))
+        by = np.abs(e.ravel()) / (
+            np.maximum(np.linalg.norm(d, axis=1), THRESHOLDS.min_slope) + np.abs(d) @ np.abs(ws.u[0])
+        )
         by[self.problem.softness > MIN_SOFTNESS] = 0.0
         if by.size:
             state[[StateField.EQUALITY_RESIDUAL, StateField.EQUALITY_ROW]] = by.max(), np.argmax(by)

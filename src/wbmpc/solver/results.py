@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from wbmpc.ocp import Transcription
-from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
-from wbmpc.solver.settings import Effort
+from wbmpc.solver.memory_layout import StateField
+from wbmpc.solver.settings import THRESHOLDS, Effort
 
 
 @dataclass
@@ -94,11 +94,11 @@ class SolverResults:
         """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
         and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""
         worst = float(max(self.ws.state[StateField.STATE_VIOLATION], self.ws.state[StateField.MIXED_VIOLATION]))
-        return worst if worst > LIMIT_TOLERANCE else 0.0
+        return worst if worst > THRESHOLDS.limit_tolerance else 0.0
 
     @property
     def initial_state_mismatch(self) -> float:
         """By how much the last plan starts elsewhere than in the measured state, as plans of cut steps do: the largest |x_0 − x|
         beside 1 + |x|; 0 up to the tolerance."""
         worst = float((np.abs(self.ws.x[0] - self.x0) / (1.0 + np.abs(self.x0))).max())
-        return worst if worst > LIMIT_TOLERANCE else 0.0
+        return worst if worst > THRESHOLDS.limit_tolerance else 0.0

@@ -77,6 +77,7 @@ from wbmpc.solver.node_inequalities import (
     row_jacobian,
 )
 from wbmpc.solver.nonlinear_input_constraints import add_curvature
+from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.simd_batch import (
     equality_size,
     linearize_dynamics,
@@ -86,9 +87,6 @@ from wbmpc.solver.simd_batch import (
     unpack,
 )
 from wbmpc.solver.stages import stage_end
-
-#: Least slope of an equality by the inputs to divide by.
-MIN_SLOPE = 1e-3
 
 
 @compiled
@@ -232,7 +230,7 @@ def first_equalities(m: Floats, o: Integers) -> float:
         for i in range(nu):
             square += m[row + i] ** 2
             size += abs(m[row + i] * m[o[U] + i])
-        by = abs(m[values + LANES * q]) / (max(np.sqrt(square), MIN_SLOPE) + size)
+        by = abs(m[values + LANES * q]) / (max(np.sqrt(square), THRESHOLDS.min_slope) + size)
         if m[o[EPS] + q] <= MIN_SOFTNESS and by > m[state + StateField.EQUALITY_RESIDUAL]:
             m[state + StateField.EQUALITY_RESIDUAL], m[state + StateField.EQUALITY_ROW] = by, q
     return m[state + StateField.EQUALITY_RESIDUAL]

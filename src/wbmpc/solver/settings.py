@@ -24,6 +24,15 @@ class Thresholds:
     the barrier parameter rises by at most this factor where slacks cut steps to less than a tenth, and to at most ``slack_share`` of
     the weight of any slack, so that plans hardly use these. ``kept_weight``: the share of the violation's weight in the merit that is
     kept when μ or ρ changes: with weights found far away from a solution later steps would only creep along the constraints.
+
+    ``limit_tolerance``: by how much plans may be outside a hard row [its range]; ``gives_way``: a multiplier beyond this share of its L1
+    slack's weight says that the row gives way. ``short``: slacks that allow less of a step are far from where a small barrier parameter
+    belongs. ``error_memory``: iterations whose errors are remembered; ``error_decrease``: the share of their largest to which it has to
+    fall; ``steepest``: even products allow μ = 0 next, and this share of their power of 1.5 converges as fast. ``overshot``: what
+    overshooting directions shorten a step to at least. ``corrections`` of a node's inputs at most: a circle takes five from three times its
+    radius, rows at acute angles many; ``inside``: where they aim [units of the rows]. ``kept_slack``: share of a slack that a step leaves at
+    least: with 0.01 slacks jam near zero. ``min_slope`` of an equality by the inputs to divide by. ``stall_window``: iterations over which
+    the contraction is measured.
     """
 
     divergence: float = 1e10
@@ -37,6 +46,18 @@ class Thresholds:
     raised: float = 3e4
     slack_share: float = 1e-3
     kept_weight: float = 0.1
+    limit_tolerance: float = 1e-3
+    gives_way: float = 0.9
+    short: float = 0.1
+    error_memory: int = 4
+    error_decrease: float = 0.9
+    steepest: float = 0.1
+    overshot: float = 0.15
+    corrections: int = 30
+    inside: float = 1e-6
+    kept_slack: float = 0.1
+    min_slope: float = 1e-3
+    stall_window: int = 25
 
 
 THRESHOLDS = Thresholds()

@@ -4,7 +4,7 @@ Gauss-Newton steps contract the error linearly, by a factor that grows with the 
 second derivatives that are left out (Messerer, Baumgärtner and Diehl 2021, "Survey of sequential convex programming and generalized
 Gauss-Newton methods", section 4); where it is near one, or above, a method with second derivatives takes over, as the hybrid methods
 for least squares do (Fletcher and Xu 1987, "Hybrid methods for nonlinear least squares"). Here the factor is measured: the smallest
-error of ``WINDOW`` iterations beside that of those before. Where as many more such iterations as the solve has left would not bring
+error of ``stall_window`` iterations beside that of those before. Where as many more such iterations as the solve has left would not bring
 the error to the tolerance, Gauss-Newton has stalled.
 """
 
@@ -14,9 +14,7 @@ import numpy as np
 
 from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.memory_layout import EXACT, STATE, Setting, StateField
-
-#: Iterations over which the contraction is measured.
-WINDOW = 25
+from wbmpc.solver.settings import THRESHOLDS
 
 
 @compiled
@@ -38,7 +36,7 @@ def stalled(m: Floats, o: Integers, s: Floats, errors: tuple[float, float], it: 
     )
     smallest = min(error, m[state + StateField.SMALLEST_ERROR])
     m[state + StateField.SMALLEST_ERROR] = smallest
-    if it % WINDOW > 0:
+    if it % THRESHOLDS.stall_window > 0:
         return False
     previous = m[state + StateField.LAST_SMALLEST_ERROR]
     m[state + StateField.LAST_SMALLEST_ERROR], m[state + StateField.SMALLEST_ERROR] = min(smallest, previous), np.inf
@@ -47,4 +45,6 @@ def stalled(m: Floats, o: Integers, s: Floats, errors: tuple[float, float], it: 
     if not smallest < previous:
         return True
     left = s[Setting.ITERATIONS] - it
-    return WINDOW * np.log(max(smallest / s[Setting.TOLERANCE], 1.0)) > left * np.log(previous / smallest)
+    return THRESHOLDS.stall_window * np.log(max(smallest / s[Setting.TOLERANCE], 1.0)) > left * np.log(
+        previous / smallest
+    )

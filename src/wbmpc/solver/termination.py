@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.barrier_update import SHORT, next_mu
+from wbmpc.solver.barrier_update import next_mu
 from wbmpc.solver.compilation import Floats, Integers, compiled
 from wbmpc.solver.infeasibility import detect_infeasibility
 from wbmpc.solver.memory_layout import (
@@ -12,7 +12,6 @@ from wbmpc.solver.memory_layout import (
     DX,
     EPS,
     EXACT,
-    LIMIT_TOLERANCE,
     LX,
     NG,
     NU,
@@ -89,7 +88,7 @@ def misses_equality(m: Floats, o: Integers, s: Floats) -> bool:
 @compiled
 def status_at_iteration_limit(m: Floats, o: Integers, s: Floats, status: int) -> int:
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
-    if m[o[STATE] + StateField.INPUT_VIOLATION] > LIMIT_TOLERANCE:
+    if m[o[STATE] + StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance:
         return INPUT_INFEASIBLE
     if misses_equality(m, o, s):
         return EQUALITY_INFEASIBLE
@@ -148,7 +147,7 @@ def convergence_status(
         bias = moved(m, o) * mu / (last_mu - mu)
     last = mu <= level or not rows
     # where rounding of one multiplier holds back the steps of all
-    close = 100.0 if m[state + StateField.MAX_DUAL_STEP] < SHORT else 10.0
+    close = 100.0 if m[state + StateField.MAX_DUAL_STEP] < THRESHOLDS.short else 10.0
     solved = compute_kkt and kkt <= s[Setting.TOLERANCE] and feasible and product <= close * mu
     if solved and (not last or moved(m, o) <= THRESHOLDS.settled):
         if last and (not rows or bias <= THRESHOLDS.bias or mu <= s[Setting.MIN_BARRIER]):

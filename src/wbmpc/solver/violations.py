@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from wbmpc.solver.memory_layout import LIMIT_TOLERANCE, StateField
+from wbmpc.solver.memory_layout import StateField
+from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.solution import Status
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ def violation_message(solver: Solver, status: Status) -> str:
     fields = of_inputs if status is Status.INPUT_INFEASIBLE else of_inputs + others
     field, which = max(fields, key=lambda f: state[f[0]])
     by = float(state[field])
-    if by <= LIMIT_TOLERANCE:
+    if by <= THRESHOLDS.limit_tolerance:
         return ""
     node, row = divmod(int(state[which]), solver.ws.rows_h.shape[1])
     limit = (solver.problem.path if node < len(solver.ws.u) else solver.problem.end).rows[row]

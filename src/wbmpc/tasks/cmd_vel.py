@@ -15,7 +15,7 @@ from wbmpc.mpc.route import base_part
 from wbmpc.result import Metric
 from wbmpc.tasks.base_following import RAMP, base_path, lead_base, ordered_twist
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Hooks, closed_loop
 from wbmpc.tasks.settings import TaskSettings
 
 #: Speeds [m/s or rad/s] of an order; times [s] of all orders together, at most.
@@ -61,8 +61,8 @@ def build(settings: CmdVelSettings, seed: int) -> Scenario:
         return found
 
     return closed_loop(
-        robot, mpc, float(times[-1]), seed, settings, since=settings.settle_time, metrics=metrics, reshape=True
-    )
+        robot, mpc, float(times[-1]), seed, settings, since=settings.settle_time, hooks=Hooks(metrics=metrics), reshape=True
+    )  # fmt: skip
 
 
 def _check(robot: RobotModel, settings: CmdVelSettings) -> None:

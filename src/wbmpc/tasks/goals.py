@@ -21,7 +21,7 @@ from wbmpc.ocp.clearance_residuals import SelfClearance
 from wbmpc.result import Metric
 from wbmpc.settings import Positive
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Hooks, closed_loop
 from wbmpc.tasks.path_settings import follow
 from wbmpc.tasks.settings import TaskSettings
 
@@ -104,8 +104,8 @@ def build(settings: GoalsSettings, seed: int) -> Scenario:
         }
 
     return closed_loop(
-        robot, mpc, end, seed, settings, since=settings.settle_time, tick=tick, metrics=metrics, reshape=True
-    )
+        robot, mpc, end, seed, settings, since=settings.settle_time, hooks=Hooks(tick=tick, metrics=metrics), reshape=True
+    )  # fmt: skip
 
 
 def final_errors(log: Log, times: Array, length: float) -> Array:

@@ -83,66 +83,85 @@ def make_system(
     return System(made.plant, made.controller, mpc, timing)
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What a closed loop's robot is among: ``scene``, obstacles in the simulated world, those of ``settings.obstacles`` where it is left
+    out; plans keep clear of them if the MPC has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out:
+    what it is. ``paced``: in a scene references wait for a robot that evades something
+    (:class:`wbmpc.mpc.reference_pacing.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans
+    before (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance, and has as much more time as
+    another way takes."""
+
+    scene: Sequence[SceneObstacle] | None = None
+    perception: PerceptionSettings | None = None
+    paced: bool = False
+    alternatives: bool = False
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """What a task adds to a closed loop. At every controller period: ``tick(t)``, which may change references: what plans must not
+    foresee; ``truth(t, truth)``, which sees the simulated robot; ``done()``: whether the task is done before its time. ``metrics`` and
+    ``plots`` of the log come beside the general ones."""
+
+    tick: Callable[[float], None] | None = None
+    truth: Callable[[float, Truth], None] | None = None
+    done: Callable[[], bool] | None = None
+    metrics: Callable[[Log], dict[str, Metric]] | None = None
+    plots: Callable[[Log], Sequence[Plot]] | None = None
+
+
 def closed_loop(
     robot: RobotModel, mpc: MPC, duration: float, seed: int = 0, settings: SimulationSettings | None = None, *,
-    since: float = 0.0, tick: Callable[[float], None] | None = None,
-    metrics: Callable[[Log], dict[str, Metric]] | None = None, plots: Callable[[Log], Sequence[Plot]] | None = None,
-    scene: Sequence[SceneObstacle] | None = None, perception: PerceptionSettings | None = None,
-    truth: Callable[[float, Truth], None] | None = None,
-    paced: bool = False, alternatives: bool = False, done: Callable[[], bool] | None = None, reshape: bool = False,
+    since: float = 0.0, hooks: Hooks = Hooks(), around: Surroundings = Surroundings(), reshape: bool = False,
 ) -> Scenario:  # fmt: skip
     """Run ``mpc`` on ``robot`` for ``duration`` [s], from home; ``seed`` of all random numbers.
 
     Recorded every 10 ms: the end effector, its reference (of the cost "end_effector", where there is one) and its error, the base and its
-    estimate, joints, inputs. ``since`` [s]: from then on errors count. ``tick(t)``, called at every controller
-    period, may change references: what plans must not foresee. ``metrics`` and ``plots`` of the log come beside the general
-    ones. ``scene``: obstacles in the simulated world, those of ``settings.obstacles`` where it is left out; plans keep clear of them if
-    ``mpc`` has obstacles. ``perception``: of the scene plans know what simulated sensors see; left out: what it is. ``truth(t, truth)``
-    sees the simulated robot at every controller period. ``paced``: in a scene references wait for a robot that evades something
-    (:class:`wbmpc.mpc.reference_pacing.PacedReferences`), and a robot that is stuck ends the run; with ``alternatives`` it tries other plans before
-    (:class:`wbmpc.mpc.alternatives.Alternatives`), where its base moves and it does not balance, and has as much more time as another
-    way takes. ``done()``, asked at every controller period: whether the task is done before its time.
-    ``reshape``: legs stand wider where the arm pulls, of a base whose legs move and an ``mpc`` with the constraints "stability"; among obstacles
-    a base changes its shape where references are ``paced``. The references of ``mpc`` are the task; times begin with the
-    loop. Raises :class:`InputError` for bad settings.
+    estimate, joints, inputs. ``since`` [s]: from then on errors count. ``hooks``: what a task adds. ``around``: what the robot is among.
+    ``reshape``: legs stand wider where the arm pulls, of a base whose legs move and an ``mpc`` with the constraints "stability"; among
+    obstacles a base changes its shape where references are paced. The references of ``mpc`` are the task; times begin with the loop. Raises
+    :class:`InputError` for bad settings.
     """
     settings = SimulationSettings() if settings is None else settings
     check_loop(robot, mpc, duration, seed, since, settings)
     _start_at_home(robot, mpc)
-    around = _surroundings(robot, settings, scene)
-    system, log = make_system(robot, mpc, settings, seed, around.edit if around else None), Log()
+    obstacles = _obstacles(robot, settings, around.scene)
+    system, log = make_system(robot, mpc, settings, seed, obstacles.edit if obstacles else None), Log()
     joints, every = JointRecord(log, robot, system), max(1, round(RECORDED / system.timing.period))
-    perceive = None if perception is None else lambda: Perception(perception, robot, system, log, seed)
-    pace = PacedReferences(mpc) if paced and around and not mpc.path.active else None
+    seen = around.perception
+    perceive = None if seen is None else lambda: Perception(seen, robot, system, log, seed)
+    pace = PacedReferences(mpc) if around.paced and obstacles and not mpc.path.active else None
     kind = base_type(robot.description.base.type)
-    reshaping = kind.reshaping(robot, mpc, system.controller) if pace or (reshape and not around) else None
-    others = Alternatives(mpc, robot, pace, reshaping) if pace and alternatives and _may_detour(robot, mpc) else None
-    watch = SceneWatch(around, system, log, since, robot, pace, perceive, others, reshaping) if around else None
-    over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, done)
+    reshaping = kind.reshaping(robot, mpc, system.controller) if pace or (reshape and not obstacles) else None
+    detours = around.alternatives and _may_detour(robot, mpc)
+    others = Alternatives(mpc, robot, pace, reshaping) if pace and detours else None
+    watch = SceneWatch(obstacles, system, log, since, robot, pace, perceive, others, reshaping) if obstacles else None
+    over = _Over(duration if others else np.inf, 1.5 * system.timing.period, pace, hooks.done)
 
     estimates = estimate_watches(settings, robot, system, log)
     watches: list[Any] = [*([watch] if watch else []), *estimates]
 
     def record(t: float, command: Any, plans: Any) -> None:
         over.now = t
-        if tick is not None:
-            tick(t)
+        if hooks.tick is not None:
+            hooks.tick(t)
         if reshaping is not None and watch is None and round(t / system.timing.period) % system.timing.mpc_every == 0:
             reshaping.update(t)
-        if truth is not None:
-            truth(t, system.plant.truth())
-        for seen in watches:
-            seen.tick(t, plans)
+        if hooks.truth is not None:
+            hooks.truth(t, system.plant.truth())
+        for each in watches:
+            each.tick(t, plans)
         if round(t / system.timing.period) % every == 0:
             _record(log, t, system, plans, joints)
 
     def measured(run: Run) -> dict[str, Metric]:
         found = general_metrics(log, robot, since, run.ending.fell)
-        return reduce(or_, [seen.metrics() for seen in watches], found) | (metrics(log) if metrics else {})
+        return reduce(or_, [each.metrics() for each in watches], found) | (hooks.metrics(log) if hooks.metrics else {})
 
     def drawn(run: Run) -> list[Plot]:
-        own = [plot for seen in watches for plot in seen.plots()]
-        return [*general_plots(log), *joints.plots(), *own, *(plots(log) if plots else [])]
+        own = [plot for each in watches for plot in each.plots()]
+        return [*general_plots(log), *joints.plots(), *own, *(hooks.plots(log) if hooks.plots else [])]
 
     longest = min(duration + DETOURS, LONGEST_RUN) if others else duration
     loop = Loop(system.plant, system.controller, mpc, system.timing, longest, record, over)
@@ -150,7 +169,7 @@ def closed_loop(
     return Scenario.single(log, loop.run, measured, drawn, IDEALIZATIONS[settings.plant.kind] + tracked)
 
 
-def _surroundings(
+def _obstacles(
     robot: RobotModel, settings: SimulationSettings, scene: Sequence[SceneObstacle] | None
 ) -> SimulatedObstacles | None:
     """What stands and moves around the robot: ``scene``, or that of the settings."""

@@ -27,7 +27,7 @@ from wbmpc.ocp import Reference
 from wbmpc.result import Metric
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.following import ClockReference, PathTaskSettings, ProgressReference, Task
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Hooks, Surroundings, closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Line, carried_base
 from wbmpc.tasks.perception import PerceptionSettings
 
@@ -277,8 +277,9 @@ def build(scene: SceneOf, settings: Among, seed: int) -> Scenario:
             mpc.reference["end_effector"], metrics = swung_ahead(robot, mpc.reference["end_effector"]), None
     made = scene(settings, robot, seed) if settings.obstacles is None else None
     return closed_loop(
-        robot, mpc, end, seed, settings, since=settings.settle_time, scene=made, metrics=metrics, paced=True,
-        perception=getattr(settings, "perception", None), alternatives=settings.when_stuck == "alternatives",
+        robot, mpc, end, seed, settings, since=settings.settle_time, hooks=Hooks(metrics=metrics), around=Surroundings(
+            made, getattr(settings, "perception", None), paced=True, alternatives=settings.when_stuck == "alternatives"
+        ),
     )  # fmt: skip
 
 

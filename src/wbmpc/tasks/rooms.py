@@ -26,7 +26,7 @@ from wbmpc.obstacles.world import Obstacles
 from wbmpc.result import Metric
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.following import PathTaskSettings, Task
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Hooks, Surroundings, closed_loop
 from wbmpc.tasks.path_settings import Line
 from wbmpc.tasks.scene import GOAL
 from wbmpc.tasks.settings import TaskSettings
@@ -167,8 +167,9 @@ def build(settings: RoomSettings, seed: int) -> Scenario:
         }
 
     return closed_loop(
-        task.robot, mpc, end, seed, settings, since=settings.settle_time, scene=room.scene, metrics=metrics, paced=True,
-        alternatives=settings.method == "alternatives", truth=seen, done=lambda: len(near) == STAYS and all(near),
+        task.robot, mpc, end, seed, settings, since=settings.settle_time,
+        hooks=Hooks(metrics=metrics, truth=seen, done=lambda: len(near) == STAYS and all(near)),
+        around=Surroundings(room.scene, paced=True, alternatives=settings.method == "alternatives"),
     )  # fmt: skip
 
 

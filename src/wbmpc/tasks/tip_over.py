@@ -19,7 +19,7 @@ from wbmpc.robots.examples import EXAMPLES
 from wbmpc.settings import Positive, Robot, Stability, SupportMarginSettings, WheelLoadSettings
 from wbmpc.stability import StanceOf, configurations, leg_angles, standing
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Hooks, closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
 from wbmpc.tasks.settings import MujocoPlant, TaskSettings
 from wbmpc.types import Truth
@@ -178,8 +178,8 @@ def build(settings: TipOverSettings, seed: int) -> Scenario:
     rolling = [n for group in robot.base.rolling_groups for n in robot.input.groups[group]]
     wheels = robot.description.base.wheel_joints() or rolling
     return closed_loop(
-        robot, mpc, ordered + settings.after, seed, settings, since=start, tick=tick, metrics=metrics,
-        plots=lambda log: watch.plots(wheels), truth=watch.see,
+        robot, mpc, ordered + settings.after, seed, settings, since=start,
+        hooks=Hooks(tick=tick, metrics=metrics, plots=lambda log: watch.plots(wheels), truth=watch.see),
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.robots.examples import EXAMPLES
 from wbmpc.settings import Positive, Robot
 from wbmpc.tasks.definitions import DEFINITIONS
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Hooks, closed_loop
 from wbmpc.tasks.path_settings import AnyPath, Sine, follow, timed
 from wbmpc.tasks.settings import SimulationSettings, TaskMpcSettings, scale_weights
 
@@ -108,7 +108,8 @@ def build(settings: TwoArmsSettings, seed: int) -> Scenario:
         t, off, _ = held(log)
         return [Plot("Grasp error", "time [s]", "error [mm]", [Series("between the end effectors", t, 1e3 * off)])]
 
-    scenario = closed_loop(robot, mpc, end + 1.0, seed, settings, since=since, metrics=metrics, plots=plots)
+    hooks = Hooks(metrics=metrics, plots=plots)
+    scenario = closed_loop(robot, mpc, end + 1.0, seed, settings, since=since, hooks=hooks)
     return replace(scenario, idealizations=[*scenario.idealizations, IDEALIZATION])
 
 

@@ -21,6 +21,7 @@ from wbmpc.runtime.shared_memory import Board, Fields, Mailbox
 from wbmpc.simulation.scene import Scene
 from wbmpc.stability import configurations
 from wbmpc.view.access import Access
+from wbmpc.view.braked_joints import braked_joints
 from wbmpc.view.process import BOARD, FAREWELL, Drawer, serve
 from wbmpc.view.snapshot import NUMBERS, errors
 from wbmpc.view.user_commands import REQUESTS, Controls, UserCommands, no_requests
@@ -128,9 +129,9 @@ class LiveView(Window):
         """What there is to control of a run of this robot (None: of none that is described) with this MPC."""
         names = tuple(cost.name for cost in UserCommands.costs_of(mpc))
         around = mpc is not None and mpc.obstacles is not None
-        legs, base = UserCommands.brakes_of(mpc) is not None, UserCommands.base_of(mpc)
-        named = () if robot is None else tuple(configurations(robot))  # a page says how legs stand that it cannot move
-        return Controls(self.title, names, legs, base, groups, paced, pushes, around, named)
+        brakes, base = braked_joints(mpc) is not None, UserCommands.base_of(mpc)
+        named = () if robot is None else tuple(configurations(robot))  # shown where nothing can be commanded, too
+        return Controls(self.title, names, brakes, base, groups, paced, pushes, around, named)
 
 
 @dataclass(frozen=True)

@@ -95,8 +95,8 @@ class Panel:
 
     def _robot(self) -> None:
         gui = self.server.gui
-        if self.controls.legs:
-            with gui.add_folder("Legs"):
+        if self.controls.brakes:
+            with gui.add_folder("Brakes"):
                 if names := self.controls.configurations:
                     group = gui.add_button_group("Configuration", names)
                     choose = lambda: self._click("configurations", configuration=names.index(group.value))
@@ -123,7 +123,7 @@ class Panel:
 
     def _show_brakes(self, is_open: float) -> None:
         """How the run's brakes are; after a click only once the run has had the time to follow it, or to reject."""
-        if self.controls.legs and np.isfinite(is_open) and time.monotonic() > self._brakes_clicked + _ANSWER:
+        if self.controls.brakes and np.isfinite(is_open) and time.monotonic() > self._brakes_clicked + _ANSWER:
             self._brakes.value = bool(is_open)
 
     def _weights(self) -> None:

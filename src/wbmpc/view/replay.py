@@ -95,14 +95,14 @@ class Film:
             )
         self._plans = {
             name: self._paths(topic)
-            for name, topic in (("end_effector_plan", "/plan/end_effector"), ("base_plan", "/plan"))
+            for name, topic in (("end_effector_plan", "/end_effector_plan"), ("base_plan", "/plan"))
         }
         self._goals = (
-            recording.table("/end_effector/reference") if "/end_effector/reference" in recording.topics else None
+            recording.table("/end_effector_reference") if "/end_effector_reference" in recording.topics else None
         )
-        way = positions(recording, "/end_effector/reference")
+        way = positions(recording, "/end_effector_reference")
         self._way = np.zeros((0, 3)) if way is None else way[1]
-        self._trail = positions(recording, "/end_effector/pose")
+        self._trail = positions(recording, "/ground_truth/end_effector")
         period = recording.topics.get("/mpc/period")
         #: Of a solve [s]; nan without an MPC.
         self.deadline = float(period.last()) if period else float("nan")

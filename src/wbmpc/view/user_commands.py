@@ -1,34 +1,30 @@
-"""What a user of the view may do to a run: goals, pushes, leg configurations, brakes, weights."""
+"""What a user of the view may do to a run: goals, pushes, brakes, weights."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, cast
 
 import numpy as np
 
 from wbmpc import lie
 from wbmpc.arrays import Array
-from wbmpc.bases.optional import ChecksBrakes
 from wbmpc.control.protocols import RobotController
 from wbmpc.errors import InputError
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.mpc import MPC
 from wbmpc.obstacles.shapes import Box
-from wbmpc.ocp import Cost, Mode, ModeSchedule, Reference
+from wbmpc.ocp import Cost, Reference
 from wbmpc.simulation.lockstep import Running
-from wbmpc.stability import configurations, leg_angles
 from wbmpc.view import bounds
+from wbmpc.view.braked_joints import BrakedJoints
 
 _LOG = logging.getLogger(__name__)
 #: How many places there are for weights in the commands.
 MAX_WEIGHTS = 16
 #: Name of the user's box among the obstacles.
 OBSTACLE = "box of the view"
-#: Legs are where they should be within this [rad]; then their brakes close.
-_THERE = 0.01
 
 #: Shapes of what the panel sends. Names in the plural count how often something was asked for. ``weights``: factors.
 #: ``obstacle``: pose (7) of a cube above the floor, and its edge [m]; 0: there is none.
@@ -51,26 +47,20 @@ def no_requests() -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Controls:
-    """What there is to control: a title, names of weights, whether legs, a base goal; ``groups`` of drives whose shares of
+    """What there is to control: a title, names of weights, whether there are joints with brakes, a base goal; ``groups`` of drives whose shares of
     their limits are plotted (:data:`~wbmpc.view.actuator_load.SHARES`); ``paced``: whether time can be
     held, ``pushes``: whether a user can push, ``obstacle``: whether plans keep clear of a box that a user places; names of the
-    ``configurations`` of its legs."""
+    ``configurations`` of those joints."""
 
     title: str
     weights: tuple[str, ...]
-    legs: bool
+    brakes: bool
     base: bool
     groups: tuple[str, ...] = ()
     paced: bool = True
     pushes: bool = True
     obstacle: bool = False
     configurations: tuple[str, ...] = ()
-
-
-class _Commanded(RobotController, Protocol):
-    """A controller of legs also takes ``brakes(t)`` (n, 1 = open)."""
-
-    brakes: Callable[[float], Array]
 
 
 class UserCommands:
@@ -85,16 +75,15 @@ class UserCommands:
         self._limit = RateLimit(1, 5.0)
         self._weights = self._seen_weights = np.ones(MAX_WEIGHTS)
         self._push_ends: float | None = None
-        self._legs: Array | None = None
         #: Whether anything was done.
         self.used = False
         self._obstacle = np.zeros(8)
-        self.costs, self._brakes_of_legs = self.costs_of(self.mpc), self.brakes_of(self.mpc)
+        self.costs, self.braked = self.costs_of(self.mpc), BrakedJoints.of(running)
 
     @property
-    def _controller(self) -> _Commanded:
+    def _controller(self) -> RobotController:
         assert self.running.controller is not None, "commands go to runs with a controller"
-        return cast(_Commanded, self.running.controller)
+        return self.running.controller
 
     @property
     def _planner(self) -> MPC:
@@ -107,23 +96,6 @@ class UserCommands:
         if mpc is None:
             return []
         return [t for t in mpc.ocp.terms.values() if isinstance(t, Cost)][:MAX_WEIGHTS]
-
-    @staticmethod
-    def brakes_of(mpc: MPC | None) -> tuple[str, str] | None:
-        """Brakes of the base that the problem knows as a mode: the group of the mode, and the group of joints, the legs, that they hold.
-        None: there are none."""
-        if mpc is None:
-            return None
-        inner = mpc.dynamics
-        while hasattr(inner, "dynamics"):  # of wrappers
-            inner = inner.dynamics
-        held = getattr(getattr(inner, "base", None), "brakes", {}).items()
-        return next(((b, j) for b, j in held if b in mpc.dynamics.mode and j in mpc.dynamics.state), None)
-
-    @property
-    def has_legs(self) -> bool:
-        """Whether there are joints that brakes hold."""
-        return self._brakes_of_legs is not None
 
     @staticmethod
     def base_of(mpc: MPC | None) -> bool:
@@ -157,15 +129,12 @@ class UserCommands:
         if self._push_ends is not None and t >= self._push_ends:
             self._push_ends = None
             self.running.plant.push(np.zeros(3))
-        if self._asked(requests, "configurations") and self.has_legs:
-            names = list(configurations(self._controller.robot))
-            index = lambda: bounds.choice("configuration", requests["configuration"], len(names))
-            self._try(lambda: self._configure(names[index()]))
-        if self._asked(requests, "brake_clicks") and self.has_legs:
-            self._try(lambda: self._click(bool(bounds.choice("brakes", requests["brakes_open"], 2))))
-        if self._legs is not None and np.abs(self._controller.state()[self._leg_part] - self._legs).max() < _THERE:
-            self._legs = None
-            self._brakes(False)
+        if (braked := self.braked) is not None:
+            if self._asked(requests, "configurations"):
+                self._try(lambda: braked.configure(requests["configuration"]))
+            if self._asked(requests, "brake_clicks"):
+                self._try(lambda: braked.click(bool(bounds.choice("brakes", requests["brakes_open"], 2))))
+            braked.update()
         if not np.array_equal(requests["weights"], self._seen_weights, equal_nan=True):
             self.used, self._seen_weights = True, requests["weights"].copy()
             self._try(lambda: self._set_weights(bounds.factors(requests["weights"])))
@@ -259,57 +228,9 @@ class UserCommands:
         if "input" in self._planner.reference:
             self._planner.reference["input"] = Reference.constant(np.zeros(self._planner.dynamics.input.size))
 
-    # ------------------------------------------------------------------ legs
-    @property
-    def _leg_part(self) -> slice:
-        part: slice = self._planner.dynamics.state[self._leg_group]
-        return part
-
-    @property
-    def _leg_group(self) -> str:
-        assert self._brakes_of_legs is not None, "only commands to legs ask for it"
-        return self._brakes_of_legs[1]
-
-    def _configure(self, name: str) -> None:
-        """Legs to a configuration by name; :class:`InputError` if the robot's hinges do not reach it."""
-        self._move_legs(leg_angles(self._controller.robot, name))
-
-    def _move_legs(self, angles: Array) -> None:
-        """Legs to ``angles`` (n) [rad] from now on; a base that is on its way goes on along its path."""
-        reference = self._planner.reference["state"]
-        values = reference.values.copy()
-        values[:, self._leg_part] = angles
-        self._planner.reference["state"] = Reference(reference.times, values, reference.kind)
-        layout = self._planner.dynamics.input
-        if "input" in self._planner.reference and self._leg_group in layout:
-            reference = self._planner.reference["input"]
-            values = reference.values.copy()
-            values[:, layout[self._leg_group]] = 0.0
-            self._planner.reference["input"] = Reference(reference.times, values, reference.kind)
-        self._legs = angles
-        self._brakes(True)
-
-    def _click(self, is_open: bool) -> None:
-        """Brakes opened or closed by hand; where they would hold the base against nothing, :class:`InputError`."""
-        controller = self._controller
-        base = controller.robot.base
-        if is_open and isinstance(base, ChecksBrakes):
-            legs = controller.state()[self._leg_part]
-            base.check_brakes(legs, np.ones(legs.size))
-        self._legs = None
-        self._brakes(is_open)
-
     def brakes_open(self, t: float) -> float:
-        """Whether all brakes of the legs are commanded to be open at time t [s] (1 or 0); nan without legs."""
-        return float(np.all(self._controller.brakes(t) > 0.5)) if self.has_legs else np.nan
-
-    def _brakes(self, is_open: bool) -> None:
-        assert self._brakes_of_legs is not None, "only commands to legs come here"
-        brake, legs = self._brakes_of_legs
-        values = np.full(len(self._planner.dynamics.state.groups[legs]), float(is_open))
-        name = "legs free" if is_open else "legs braked"
-        self._planner.set_schedule(ModeSchedule((Mode(name, {brake: tuple(values)}),)))
-        self._controller.brakes = lambda t: values
+        """Whether all brakes are commanded to be open at time t [s] (1 or 0); nan without brakes."""
+        return np.nan if self.braked is None else float(self.braked.are_open(t))
 
     # ------------------------------------------------------------------ weights
     @property

@@ -68,57 +68,74 @@ class Parameters(NamedTuple):
     payload: int
 
 
+class Loads(NamedTuple):
+    """What acts on a robot besides its model: a disturbance, and a payload."""
+
+    disturbance: Disturbance
+    gate: Gate
+    payload: Payload
+    weighs: bool  # whether there is a payload
+
+
+class Leans(NamedTuple):
+    """How far a robot leans under these, with its divergent component."""
+
+    offsets: Lean
+    falls: Component
+    has_lean: bool  # whether there is a lean
+
+
 @MODEL.step
 def learn(
-    model: Model, d: Disturbance, g: Gate, by: Inertia, p: Payload, lean: Lean, falls: Component, at: Parameters, weighs: bool,
-    has_lean: bool, nu: int, rows: Floats, row: int, started: bool, t: float, h: float, forwards: bool,
+    model: Model, loads: Loads, lean: Leans, by: Inertia, at: Parameters, nu: int, rows: Floats, row: int, started: bool,
+    t: float, h: float, forwards: bool,
 ) -> tuple[float, bool]:  # fmt: skip
-    """Disturbance, payload (``weighs``: there is one) and ``lean`` (``has_lean``: there is one), with its component, after a state at t [s], h
-    [s] after the one before (``started``: there was one), under the torques (nu) in a ``row``; ``forwards``: the solver gets them as its model's
-    parameters, and zero for all others. Returns how much of a constant disturbance that can have learned, and whether all is
-    finite: the solver gets nothing else."""
-    n = d.size
+    """``loads`` and ``lean`` after a state at t [s], h [s] after the one before (``started``: there was one), under the torques (nu) in a
+    ``row``; ``forwards``: the solver gets them as its model's parameters, and zero for all others. Returns how much of a constant
+    disturbance that can have learned, and whether all is finite: the solver gets nothing else."""
+    n, force, load, leans = loads.disturbance.size, loads.disturbance.force, loads.payload.load, lean.offsets.leans
+    given, found = lean.falls.given, lean.falls.found
     for i in range(nu):
         model.acted[i] = rows[row * nu + i]
     if not started:
-        g.clock[Clock.NEW_UNTIL] = t + g.settings[Setting.LONGEST]
+        loads.gate.clock[Clock.NEW_UNTIL] = t + loads.gate.settings[Setting.LONGEST]
     for i in range(n):
-        d.velocity[i] = model.state[n + i]
+        loads.disturbance.velocity[i] = model.state[n + i]
         if not started:
-            g.speed[i] = model.state[n + i]
-        model.trial[i], model.trial[n + i] = model.state[i], g.speed[i]
+            loads.gate.speed[i] = model.state[n + i]
+        model.trial[i], model.trial[n + i] = model.state[i], loads.gate.speed[i]
     simulate(model.memory, model.table, model.trial, model.acted, 1, h)
     by.places[0], by.places[1] = model.state.ctypes.data, by.inertial.ctypes.data
     call2(by.inertia, by.places.ctypes.data, by.places.ctypes.data + 8)
     for i in range(n):
-        d.after[i] = model.trial[n + i]
+        loads.disturbance.after[i] = model.trial[n + i]
     for i in range(n * n):
-        d.mass[i] = by.inertial[i]
-    learning = observe(d, g, t, h)
-    if weighs:
+        loads.disturbance.mass[i] = by.inertial[i]
+    learning = observe(loads.disturbance, loads.gate, t, h)
+    if loads.weighs:
         for i in range(n):
-            p.weight[i] = by.inertial[n * n + i]
-        update_mass(d, p, learning, h)
-    if has_lean:
-        lean_offsets(lean, d.force, model.state[2])
-        if falls.component != 0:
+            loads.payload.weight[i] = by.inertial[n * n + i]
+        update_mass(loads.disturbance, loads.payload, learning, h)
+    if lean.has_lean:
+        lean_offsets(lean.offsets, force, model.state[2])
+        if lean.falls.component != 0:
             for i in range(2 * n):
-                falls.given[i] = model.state[i]
-            falls.given[2 * n], falls.given[2 * n + 1], falls.given[2 * n + 2] = p.load[Load.MASS], 0.0, 0.0
-            by.places[0], by.places[1] = falls.given.ctypes.data, falls.found.ctypes.data
-            call2(falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
-            lean.leans[4], lean.leans[5] = falls.found[0] + lean.leans[0], falls.found[1] + lean.leans[1]
-    finite = np.isfinite(p.load[Load.MASS])
+                given[i] = model.state[i]
+            given[2 * n], given[2 * n + 1], given[2 * n + 2] = load[Load.MASS], 0.0, 0.0
+            by.places[0], by.places[1] = given.ctypes.data, found.ctypes.data
+            call2(lean.falls.component, by.places.ctypes.data, by.places.ctypes.data + 8)
+            leans[4], leans[5] = found[0] + leans[0], found[1] + leans[1]
+    finite = np.isfinite(load[Load.MASS])
     for i in range(n):
-        finite = finite and np.isfinite(d.force[i])
+        finite = finite and np.isfinite(force[i])
     if not (finite and forwards):
         return learning, finite
     for i in range(at.first, at.end):
         model.memory[i] = 0.0
     for i in range(n):
-        model.memory[at.disturbance + i] = d.force[i]
+        model.memory[at.disturbance + i] = force[i]
     if at.payload >= 0:
-        model.memory[at.payload] = p.load[Load.MASS]
+        model.memory[at.payload] = load[Load.MASS]
     return learning, finite
 
 

@@ -21,7 +21,7 @@ from wbmpc.result import Metric, Plot, Series
 from wbmpc.settings import Positive, Robot, Stability, WheelLoadSettings
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.fast_courses import SCurve, Sideways, Slalom
-from wbmpc.tasks.loop import closed_loop
+from wbmpc.tasks.loop import Hooks, Surroundings, closed_loop
 from wbmpc.tasks.settings import MujocoPlant, TaskMpcSettings, TaskSettings
 from wbmpc.tasks.tip_over import LIFTED, LoadWatch, reaching
 from wbmpc.types import Truth
@@ -102,8 +102,8 @@ def build(settings: SwerveFastSettings, seed: int) -> Scenario:
 
     wheels = robot.description.base.wheel_joints() or list(robot.state.groups.get("wheel", ()))
     scenario = closed_loop(
-        robot, mpc, ordered + (settings.after or course.AFTER), seed, settings, since=ordered, tick=tick, metrics=metrics,
-        plots=lambda log: watch.plots(wheels), truth=watch.see, scene=scene,
+        robot, mpc, ordered + (settings.after or course.AFTER), seed, settings, since=ordered, around=Surroundings(scene),
+        hooks=Hooks(tick=tick, metrics=metrics, plots=lambda log: watch.plots(wheels), truth=watch.see),
     )  # fmt: skip
     return replace(scenario, idealizations=[*scenario.idealizations, *course.idealizations])
 
