@@ -22,7 +22,7 @@ from wbmpc.tasks.arm_reach import own_rows
 if TYPE_CHECKING:
     from wbmpc.solver import Solver
 
-#: Random postures, and more where these do not go round, that are moved to where the end effector leans as at home; Gauss-Newton steps for
+#: Random postures, and more where these do not go round, that are moved to where the end effector is tilted as at home; Gauss-Newton steps for
 #: that, their damping and the step [rad or m] of differences; how exact [m, 1] they then are; turns [rad] between two of which the arm has
 #: no others; and how many [rad] are none.
 POSTURES, STEPS, DAMPING, DIFFERENCE, EXACT, GAP, NARROW = (250, 1000), 12, 1e-4, 1e-6, 1e-3, 0.25, 1.0
@@ -47,7 +47,7 @@ def drives_ahead_only(robot: RobotModel) -> bool:
 
 
 def turns(robot: RobotModel) -> Turns | None:
-    """As far as its own parts and ranges allow, with the end effector as high and leaning as at home, wherever beside the base. None: all the
+    """As far as its own parts and ranges allow, with the end effector as high and tilted as at home, wherever beside the base. None: all the
     way round."""
     found = None
     for count in POSTURES:
@@ -58,7 +58,7 @@ def turns(robot: RobotModel) -> Turns | None:
 
 def _turns(robot: RobotModel, count: int) -> Turns | None:
     """The same by ``count`` random postures."""
-    states, home = _leaning(robot, draw_states(robot, count)), robot.pose(robot.home)[1]
+    states, home = _tilted(robot, draw_states(robot, count)), robot.pose(robot.home)[1]
     rows = own_rows(robot)
     if rows is not None:
         states = states[(rows.measure(states) >= rows.margins).all(axis=1)]
@@ -71,8 +71,8 @@ def _turns(robot: RobotModel, count: int) -> Turns | None:
     return Turns(float(at[below[-1] + 1] if below.size else at[0]), float(at[above[0]] if above.size else at[-1]))
 
 
-def _leaning(robot: RobotModel, states: Array) -> Array:
-    """Of states (n, nx), moved within ranges so that their end effector is as high and leans as at home, those that get there."""
+def _tilted(robot: RobotModel, states: Array) -> Array:
+    """Of states (n, nx), moved within ranges so that their end effector is as high and tilted as at home, those that get there."""
     arm, home = robot.state["arm"], robot.poses(robot.home[None])
     low, high = robot.limits.state_lower[arm], robot.limits.state_upper[arm]
     x, count = states.copy(), low.size
