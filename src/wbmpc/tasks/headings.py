@@ -42,8 +42,9 @@ class Turns(NamedTuple):
 
 
 def drives_ahead_only(robot: RobotModel) -> bool:
-    """Whether the base drives along one direction of its own, and turns, both at once, but never goes sideways."""
-    return "base" in robot.state and not robot.base.steering_groups and np.shape(robot.base.twist) == (3, 2)
+    """Whether the base drives along one direction of its own, and turns, both at once, but never goes sideways; and no joint of it, as of
+    a car, has to move first."""
+    return set(robot.state.groups) == {"base", "arm"} and np.shape(robot.base.twist) == (3, 2)
 
 
 def turns(robot: RobotModel) -> Turns | None:
