@@ -1,4 +1,4 @@
-"""How far along a path the arm of a robot whose base stands can go."""
+"""How far along a path the arm of a robot whose base stands can go, and how far its parts are from each other."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import numpy as np
 
 from wbmpc import lie
 from wbmpc.arrays import Array
+from wbmpc.clearance.rows import SelfRows
 from wbmpc.model.robot import RobotModel
+from wbmpc.obstacles.geometry import has_shapes
+from wbmpc.obstacles.pairs import self_pairs
+from wbmpc.ocp.clearance_residuals import SelfClearance
 
 #: Poses along a path that are looked at; how near [m] the end effector has to come; what a rotation counts [m/rad].
 POSES, THERE, LEVER = 40, 1e-3, 0.2
@@ -62,3 +66,9 @@ def _step(q: Array, error: Array, jacobian: Array, low: Array, high: Array) -> A
         step[beyond] = np.clip(q + step, low, high)[beyond] - q[beyond]
         free &= ~beyond
     return np.asarray(q + step)
+
+
+def own_rows(robot: RobotModel) -> SelfRows | None:
+    """Distances of the robot's pairs; None of one that has none, as without shapes. Raises :class:`InputError` for shapes that cannot be
+    read, or are too many to find pairs."""
+    return SelfRows(SelfClearance(robot)) if has_shapes(robot) and self_pairs(robot) else None

@@ -8,18 +8,15 @@ import numpy as np
 from pydantic import Field
 
 from wbmpc.arrays import Array
-from wbmpc.clearance.rows import SelfRows
 from wbmpc.errors import InputError
 from wbmpc.experiment import Experiment, Scenario
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.obstacles.floor import floor_boxes, heights
-from wbmpc.obstacles.geometry import has_shapes
-from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.ocp import Reference
-from wbmpc.ocp.clearance_residuals import SelfClearance
 from wbmpc.result import Metric
 from wbmpc.settings import Positive
+from wbmpc.tasks.arm_reach import own_rows
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import Hooks, closed_loop
 from wbmpc.tasks.path_settings import follow
@@ -72,12 +69,6 @@ def random_states(robot: RobotModel, settings: GoalsSettings, seed: int) -> Arra
             row[start : start + 2] += at
             row[start + 2] += rng.uniform(-1.0, 1.0)
     return states
-
-
-def own_rows(robot: RobotModel) -> SelfRows | None:
-    """Distances of the robot's pairs; None of one that has none, as without shapes. Raises :class:`InputError` for shapes that cannot be
-    read, or are too many to find pairs."""
-    return SelfRows(SelfClearance(robot)) if has_shapes(robot) and self_pairs(robot) else None
 
 
 def build(settings: GoalsSettings, seed: int) -> Scenario:

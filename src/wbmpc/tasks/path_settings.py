@@ -21,6 +21,7 @@ from wbmpc.ocp import Reference
 from wbmpc.ocp.scaling import reach
 from wbmpc.settings import ReadBy, Settings
 from wbmpc.tasks.arm_reach import reached_share
+from wbmpc.tasks.headings import headings, weigh_heading
 from wbmpc.tasks.paths import rise, risen
 
 #: Length [m] of a path where nothing says it: of a robot whose base moves, and (times its reach) of one that stands, the first of these
@@ -284,7 +285,8 @@ def carried_base(robot: RobotModel, poses: Array) -> Array:
 
 
 def follow(robot: RobotModel, mpc: Any, reference: Reference) -> None:
-    """The end effector follows ``reference``; where the problem has a reference of the base too, the base goes along."""
+    """The end effector follows ``reference``; where the problem has a reference of the base too, the base goes along, with the
+    :func:`~wbmpc.tasks.headings.headings` of one that needs them."""
     mpc.reference["end_effector"] = reference
     if (
         "state" in mpc.reference
@@ -294,6 +296,9 @@ def follow(robot: RobotModel, mpc: Any, reference: Reference) -> None:
         values = np.tile(mpc.reference["state"].values[:1], (len(reference.times), 1))
         part = robot.state["base"].start
         values[:, part : part + 3] = carried_base(robot, reference.values)
+        if (planned := headings(robot, reference)) is not None:
+            values[:, part + 2] = np.interp(reference.times, *planned)
+            weigh_heading(mpc.solver, robot)
         mpc.reference["state"] = Reference(
             reference.times, values, "hold" if reference.kind == "pose_hold" else "linear"
         )
