@@ -298,3 +298,13 @@ def joint_units(model: mujoco.MjModel) -> dict[str, str]:
     known = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
     joints = ((model.joint(i).name, mujoco.mjtJoint(int(model.jnt_type[i]))) for i in range(model.njnt))
     return {name: known[kind] for name, kind in joints if name and kind in known}
+
+
+def drive_limits(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
+    """(lower, upper) force or torque of each joint whose drive in the plant has limits."""
+    found = {}
+    for k in np.flatnonzero(model.actuator_forcelimited):
+        if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT:
+            low, high = sorted(model.actuator_gear[k, 0] * model.actuator_forcerange[k])
+            found[model.joint(model.actuator_trnid[k, 0]).name] = (float(low), float(high))
+    return found

@@ -1,8 +1,7 @@
 """Compiled code of a policy: the planned input with feedback, held within the hard rows of the inputs.
 
-``limits`` is one array: lower and upper bounds (nu each), then of the r rows ``matrix`` u + offset ≥ 0 the matrix (r, nu), the
-offsets (r,), which inputs a row may scale back (r, nu; 1 or 0), and the input of a row that depends on one alone (r,; −1: several).
-``room``: 3 nu + r numbers to work in.
+``limits`` is one array: lower and upper bounds (nu each), then of the r rows ``matrix`` u + offset ≥ 0 the matrix (r, nu), offsets (r,),
+which inputs a row may scale back (r, nu; 1 or 0), the input of a row that depends on one alone (r,; −1: several). ``room``: 3 nu + r numbers.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from wbmpc.arrays import Array
@@ -13,7 +12,7 @@ from wbmpc.bases.base import System
 from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.result import Plot, Series
-from wbmpc.simulation.scene import joint_units
+from wbmpc.simulation.scene import drive_limits, joint_units
 from wbmpc.types import Truth
 from wbmpc.units import by_unit, force_unit, rate_unit, with_unit
 
@@ -44,7 +43,7 @@ class JointRecord:
             model = system.plant.model
             known = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
             given = {name: (-most, most) for name, most in robot.description.limits.effort.items()}
-            self._efforts = {n: e for n, e in (_drive_limits(model) | given).items() if n in known}
+            self._efforts = {n: e for n, e in (drive_limits(model) | given).items() if n in known}
             self._driven = {n: known[n] for n in self._efforts}
             self._force_units = {n: force_unit(unit) for n, unit in joint_units(model).items()}
         inputs, driven = system.mpc.dynamics.input, list(self._driven)
@@ -164,16 +163,6 @@ class JointRecord:
                 plots.append(Plot("Outside of the joints' limits", "time [s]", with_unit("largest", shown), lines))
         violation = Series("constraints of the plan", t, self._rows("plan_violation")[1])
         return [*plots, Plot("Violation of the plan's constraints", "time [s]", "1-norm", [violation])]
-
-
-def _drive_limits(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
-    """(lower, upper) force or torque of each joint whose drive in the plant has limits."""
-    found = {}
-    for k in np.flatnonzero(model.actuator_forcelimited):
-        if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT:
-            low, high = sorted(model.actuator_gear[k, 0] * model.actuator_forcerange[k])
-            found[model.joint(model.actuator_trnid[k, 0]).name] = (float(low), float(high))
-    return found
 
 
 def outside(rows: Array, lower: Array, upper: Array) -> Array:
