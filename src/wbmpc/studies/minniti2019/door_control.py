@@ -11,9 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.arrays import Array
+from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.mpc.policy_queue import PolicyQueue
 from wbmpc.ocp import Mode, ModeSchedule, Reference
+from wbmpc.solver.results import Trajectory
 from wbmpc.studies.minniti2019.door_tracker import RELAX, DoorTracker
 from wbmpc.types import Observation
 
@@ -33,8 +35,29 @@ UNMOVED = 0.1
 FAR = 5.0
 #: The push [N] of a touch that no plan knows yet: no plan pushes less than :data:`UNPLANNED` [N] that does.
 FIRST, UNPLANNED = 4.0, 0.1
+#: A planned force [N] that is none.
+NO_FORCE = 1e-3
 #: Points of the references over the horizon.
 POINTS = 27
+
+
+class FreeOfForce:
+    """Where solves start from when modes have changed (:class:`wbmpc.mpc.guess.Guess`): where the end effector is free now, the force of the
+    last plan is gone. What an equality fixes would else keep a share of what it was until a full step is taken, and plans are
+    rejected meanwhile: for 0.1 s after a release."""
+
+    def bind(self, mpc: MPC) -> None:
+        self._mpc = mpc
+
+    def __call__(self, t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
+        schedule = self._mpc.solver.schedule
+        ends = np.maximum(trajectory.times[1:], t)
+        free = np.array([schedule.modes[i].name == "free" for i in np.searchsorted(schedule.events, ends, "right")])
+        forces = trajectory.u[:, -3:]
+        if not np.any(np.abs(forces[free]) > NO_FORCE):
+            return None
+        forces[free] = 0.0
+        return trajectory
 
 
 class DoorController(DoorTracker):
