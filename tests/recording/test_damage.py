@@ -200,6 +200,24 @@ def test_an_end_of_zeros_is_not_followed(whole: Path, tmp_path: Path) -> None:
     assert found.damage[-1].startswith("nothing is read from byte ")
 
 
+def test_the_true_odometry_of_a_recorded_bus_is_read(tmp_path: Path) -> None:
+    """`wbmpc ros2 sim` publishes it beside the end effector's pose, which pages read by name."""
+    path = tmp_path / "run.mcap"
+    file = McapFile(path)
+    stamp = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
+    pose = {"position": {"x": 1.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    none = {"x": 0.0, "y": 0.0, "z": 0.0}
+    odometry = {
+        "header": stamp, "child_frame_id": "base_link", "pose": {"pose": pose, "covariance": np.zeros(36)},
+        "twist": {"twist": {"linear": none, "angular": none}, "covariance": np.zeros(36)},
+    }  # fmt: skip
+    file.put("/ground_truth/odom", "nav_msgs/Odometry", 0.0, odometry)
+    file.put("/ground_truth/end_effector", "geometry_msgs/PoseStamped", 0.0, {"header": stamp, "pose": pose})
+    file.close()
+    found = read_recording(path)
+    assert set(found.topics) == {"/ground_truth/odom", "/ground_truth/end_effector"} and not found.damage
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_a_topic_of_another_type_is_left_out(tmp_path: Path, name: str) -> None:
     """Pages and films read these topics by name. One of another type, or of two, was a traceback of whatever its messages lack."""

@@ -159,9 +159,10 @@ def test_a_box_that_is_not_done_goes_back_to_where_the_run_has_it(panel: Any, mo
     drag("end", (40.0, 0.0, 0.3))
     show(panel, obstacle=taken)
     np.testing.assert_allclose([*box.position, *drawn.dimensions], [1.5, 0.0, 0.3, 0.3, 0.3, 0.3])
-    drawn.dimensions = (0.8,) * 3
+    drawn.dimensions, buttons["Edge [m]"].value = (0.8,) * 3, 0.8
+    now[0] = 9.0
     show(panel, obstacle=taken)
-    assert tuple(drawn.dimensions) == (0.3,) * 3 and box.visible
+    assert tuple(drawn.dimensions) == (0.3,) * 3 and box.visible and buttons["Edge [m]"].value == 0.3
     show(panel)  # another run has none
     assert not box.visible
 

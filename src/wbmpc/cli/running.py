@@ -66,7 +66,7 @@ def write_weights(factors: Mapping[str, float], before: Mapping[str, float], dir
 _LOG = logging.getLogger("wbmpc")
 #: What is said of a run that a user has steered.
 STEERED = (
-    "goals, weights, legs or forces were changed by hand in the view: the figures are of that, not of the experiment"
+    "goals, weights, brakes or forces were changed by hand in the view: the figures are of that, not of the experiment"
 )
 
 

@@ -32,7 +32,7 @@ KINDS = {
     "/robot_description": "std_msgs/String", "/mode": "std_msgs/String", "/tf": "tf2_msgs/TFMessage",
     "/tf_static": "tf2_msgs/TFMessage", "/joint_states": "sensor_msgs/JointState", "/odom": "nav_msgs/Odometry",
     "/end_effector_pose": "geometry_msgs/PoseStamped", "/end_effector_reference": "geometry_msgs/PoseStamped",
-    "/ground_truth/": "geometry_msgs/PoseStamped", "/plan": "nav_msgs/Path", "/end_effector_plan": "nav_msgs/Path",
+    "/ground_truth/end_effector": "geometry_msgs/PoseStamped", "/plan": "nav_msgs/Path", "/end_effector_plan": "nav_msgs/Path",
     "/contact/": "geometry_msgs/WrenchStamped", "/mpc/": "std_msgs/Float64",
 }  # fmt: skip
 #: Fields of a message's header and of its layout: no numbers of their own.

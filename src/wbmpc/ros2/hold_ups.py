@@ -14,16 +14,22 @@ from wbmpc.errors import InputError
 BEAT = 0.02
 #: Looks farther apart than this [s] are a hold-up; so long after one messages that waited come.
 WAITED = 0.1
+#: A process that has worked for this share of a time was not held up.
+OWN_WORK = 0.5
 #: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
 OLD = 1.0
 
 
 class HoldUps:
     """Looks at the time ``wall()`` [s] in a thread of its own, between :meth:`begin` and :meth:`end`: work of other threads that takes long
-    is no hold-up, for messages come meanwhile. On a bus that waits ``wall`` stands still."""
+    is no hold-up, for messages come meanwhile; nor is work that keeps the interpreter to itself: the process has ``spent()`` that time [s].
+    On a bus that waits ``wall`` stands still."""
 
-    def __init__(self, wall: Callable[[], float] = time.monotonic) -> None:
-        self.wall = wall
+    def __init__(
+        self, wall: Callable[[], float] = time.monotonic, spent: Callable[[], float] = time.process_time
+    ) -> None:
+        self.wall, self._spent = wall, spent
+        self._spent_before = spent()
         self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
         self._held, self._fresh_from = 0.0, -np.inf
         self._ended = threading.Event()
@@ -44,20 +50,25 @@ class HoldUps:
     def look(self) -> None:
         """Messages that have come since the last look may be of any time since then, if that was long ago."""
         now = self.wall()
-        if now - self._looked > WAITED:
+        if self._stood() > WAITED:
             self._held, self._fresh_from = self.waited(), now + WAITED
-        if now - self._looked > OLD:
+        if self._stood() > OLD:
             self._over = now
-        self._looked = now
+        self._looked, self._spent_before = now, self._spent()
+
+    def _stood(self) -> float:
+        """For how long [s] the process has not been looked at while it did not work either."""
+        passed = self.wall() - self._looked
+        return passed if self._spent() - self._spent_before < OWN_WORK * passed else 0.0
 
     def waited(self) -> float:
         """For how long [s] a message that comes now may have waited."""
         now = self.wall()
-        return max(now - self._looked, self._held if now < self._fresh_from else 0.0)
+        return max(self._stood(), self._held if now < self._fresh_from else 0.0)
 
     def since(self, time: float) -> bool:
         """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""
-        return time <= self._over or (time <= self._looked and self.wall() - self._looked > OLD)
+        return time <= self._over or (time <= self._looked and self._stood() > OLD)
 
     def too_old(self, what: str) -> str:
         """Why ``what`` has just come and does not count; empty if it does."""

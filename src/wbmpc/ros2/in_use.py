@@ -47,7 +47,11 @@ class InUse:
             if self.closed:
                 return False
             self.closed = True
-            self._changed.wait_for(lambda: all(thread == own for thread in self._threads))
+            try:
+                self._changed.wait_for(lambda: all(thread == own for thread in self._threads))
+            except BaseException:  # Ctrl-C: the next call closes it
+                self.closed = False
+                raise
         return True
 
 

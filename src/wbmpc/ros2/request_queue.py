@@ -70,15 +70,15 @@ class RequestQueue:
         self._speeds = MultiTypeSubscriber(
             node, speeds, dict.fromkeys(_TWISTS, partial(self._try, speeds, self._take_speed))
         )
-        self._wrench, self._wrench_at = np.zeros(6), -np.inf
+        self._wrench = np.zeros(6), -np.inf  # and when it came
         for key, take in {
             "goal_pose": self._goal_pose, "end_effector_goal": self._end_effector_goal, "base_path": self._base_path,
             "end_effector_path": self._end_effector_path, "wrench": self._take_wrench,
         }.items():  # fmt: skip
             if topic := getattr(settings.topics, key):
                 node.subscribe(
-                    topic, settings.topics.requests[key], partial(self._try, topic, take), DEFAULT, deferred=True,
-                    largest=LONG,
+                    topic, settings.topics.requests[key], partial(self._try, topic, take), DEFAULT,
+                    deferred=key != "wrench", largest=LONG,  # that is of when it comes, and done at once
                 )  # fmt: skip
 
     # ------------------------------------------------------------------ taken up
@@ -109,7 +109,8 @@ class RequestQueue:
 
     def wrench(self) -> Array:
         """What the end effector is to exert (6) [N, N m], world axes; like a speed it holds as long as messages come."""
-        return self._wrench if self.now() - self._wrench_at < self.settings.safety.cmd_vel else np.zeros(6)
+        wrench, came = self._wrench
+        return wrench if self.now() - came < self.settings.safety.cmd_vel else np.zeros(6)
 
     def _take_wrench(self, message: Any) -> None:
         if message.header.frame_id != self.settings.frames.world:
@@ -128,7 +129,7 @@ class RequestQueue:
                     )
         if self.hold_ups.waited() > self.settings.safety.cmd_vel:
             raise InputError("the wrench is not of now: it came while the node was held up")
-        self._wrench, self._wrench_at = np.concatenate([force, torque]), self.now()
+        self._wrench = np.concatenate([force, torque]), self.now()
 
     def reject(self, message: str) -> None:
         """Say once why a goal is not taken."""

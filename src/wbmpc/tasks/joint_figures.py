@@ -137,7 +137,8 @@ class JointRecord:
         description = self._robot.description
         groups = {"arm": description.arm.joints, **description.base.joint_groups()}
         listed = {name for members in groups.values() for name in members}
-        groups["base"] = [*groups.get("base", ()), *(name for name in self._driven if name not in listed)]
+        groups["base"] = [name for name in description.base.wheel_joints() if name not in listed]
+        groups["others"] = [name for name in self._driven if name not in {*listed, *groups["base"]}]
         plots = []
         for group, members in groups.items():
             names = [n for n in members if n in rows]

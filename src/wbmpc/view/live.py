@@ -40,7 +40,7 @@ class View(LiveView):
     """A :class:`~wbmpc.simulation.lockstep.Watcher` that shows a run at ``url`` and paces it to the clock.
 
     ``wants_reset``: whether the run ended in order to restart; ``ended``: whether the user ended it; ``steered``: whether
-    its goals, weights, legs or forces were changed.
+    its goals, weights, brakes or forces were changed.
     ``live``: it also shows what drives before the run, which nobody can steer: its calibration is kept.
     ``opened(url)`` is called once the server answers; no browser is waited for. Times in s.
     """

@@ -158,17 +158,17 @@ class Panel:
         self._box.position = AHEAD
         self._cube: Any = scene.add_box("/obstacle/cube", color=(209, 73, 91), dimensions=(1.0, 1.0, 1.0), opacity=0.6)
         with gui.add_folder("Box"):
-            edge = gui.add_slider("Edge [m]", *bounds.EDGES, 0.05, 0.3)
+            self._edge: Any = gui.add_slider("Edge [m]", *bounds.EDGES, 0.05, 0.3)
             gui.add_button("Put there").on_click(in_order(lambda: put()))
             gui.add_button("Take away").on_click(in_order(lambda: take_away()))
 
         def order() -> None:
             self._box_asked = time.monotonic()
             pose = np.concatenate([self._box.position, self._box.wxyz])
-            self._click("obstacles", obstacle=np.append(pose, edge.value))
+            self._click("obstacles", obstacle=np.append(pose, self._edge.value))
 
         def put() -> None:
-            self._cube.dimensions = (edge.value,) * 3
+            self._cube.dimensions = (self._edge.value,) * 3
             self._box.visible = True
             order()
 
@@ -180,7 +180,11 @@ class Panel:
             if self._box.visible:  # a page that is not ours may move what it does not show
                 act()
 
-        edge.on_update(in_order(lambda: again(put)))  # what is drawn is what is avoided
+        async def resized(event: Any) -> None:
+            if event.client is not None:  # else the panel itself showed how it is
+                again(put)
+
+        self._edge.on_update(resized)  # what is drawn is what is avoided
         self._on_drag(self._box, lambda: again(order))
 
     def _show_obstacle(self, cube: Array) -> None:
@@ -200,6 +204,7 @@ class Panel:
             self._box.position, self._box.wxyz = cube[:3], cube[3:7]
         if there and not np.allclose(self._cube.dimensions, edge):
             self._cube.dimensions = edge
+            self._edge.value = edge[0]
 
     def _on_drag(self, handle: Any, order: Callable[[], None]) -> None:
         """Do ``order`` where a handle is moved; not where it is only grasped or let go."""

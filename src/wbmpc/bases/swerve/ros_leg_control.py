@@ -66,6 +66,8 @@ class LegControl(BaseCommands):
                 control.hold_ups.check(self._came)
             self.start_or_apply(seen[1])
         except Exception as error:
+            if not waits:
+                raise  # of a run, not of a command
             control.request_queue.running = control.request_queue.running if control.running else None
             commands.drop()
             commands.reject(f"a command for the legs is rejected: {error_message(error)}")
@@ -102,6 +104,7 @@ class LegControl(BaseCommands):
             self.commands.drop()
             self.commands.reject("a command for the legs is rejected: the robot has stopped meanwhile")
         self.commands.stop()
+        self._changed = False
 
     def rejections(self) -> dict[str, str]:
         """Commands that were not taken, and legs that have ended on their way."""

@@ -122,6 +122,8 @@ class LeverFit:
     #: How far [m] a tip slides when it comes to a panel, about, how fast [m/s] along one that it has left, and how it creeps [m/√s] along one
     #: that it touches.
     LANDS, SLIDES, CREEPS = 0.01, 0.2, 0.003
+    #: No door is pushed nearer to its hinge [m].
+    SHORTEST = 0.1
 
     def __init__(self, guess: float, spread: float = 0.08, noise: float = 0.03) -> None:
         self.first, self._found = np.zeros(3), np.array([guess, 0.0])
@@ -136,7 +138,7 @@ class LeverFit:
     def now(self) -> float:
         """Of the place on the panel to which the end effector has slid; it may have rolled on."""
         lever, slid = self._found
-        return math.sqrt(max(lever * lever + slid, 0.0))
+        return math.sqrt(max(lever * lever + slid, self.SHORTEST**2))
 
     def update(
         self, interval: float, apart: float, end_effector: Array, along: Array, normal: Array, half: float

@@ -267,7 +267,7 @@ class SmoothedEstimator(SwerveEstimator):
 
     def process(self, measurement: SwerveMeasurement) -> None:
         """Take in a message."""
-        h = measurement.time - (self.measured or measurement).time
+        h = self.interval(self.measured or measurement, measurement)
         super().process(measurement)
         if self._smoothing is not None:
             self._read_arm[:] = measurement.arm
