@@ -46,8 +46,8 @@ def gallery(name: str) -> wb.MPC:
 def test_a_controller_does_what_python_does(tmp_path: Path, name: str) -> None:
     mpc = trolley() if name == "trolley" else reaching(tmp_path) if name == "arm" else gallery(name)
     done = wb.export(mpc, tmp_path / "out", prefix="own", target="aarch64", samples=8)
-    controller, u, apart = Controller(done), np.zeros(mpc.solver.ws.u.shape[1]), []
-    assert controller("update", 0.0, mpc.solver.ws.x[0].copy()) == Result.NOT_CREATED
+    controller, u, apart = Controller(done), np.zeros(len(mpc.ocp.dynamics.input.names)), []
+    assert controller("update", 0.0, mpc.solver.trajectory().x[0]) == Result.NOT_CREATED
     assert controller.create() == Result.OK
     for observed, expected in zip(*checks.record(mpc, 25), strict=True):
         t, x = float(observed[0]), observed[1:].copy()

@@ -251,7 +251,7 @@ def test_a_joint_named_twice(tmp_path: Path) -> None:
     data = yaml.safe_load(SWERVE)
     data["limits"] = {"effort": {"elbow_joint": -1.0}}
     path.write_text(yaml.safe_dump(data))
-    with pytest.raises(InputError, match=r"key 'limits.effort.elbow_joint': .* greater than 0, got -1"):
+    with pytest.raises(InputError, match=r"key 'limits.effort.elbow_joint': .* greater than or equal to .*, got -1"):
         load_description(path)
     with pytest.raises(InputError, match="a name or a path"):
         load_robot(None)  # type: ignore[arg-type]

@@ -82,7 +82,7 @@ def test_accelerations_are_joints_of_the_robot(tmp_path) -> None:  # type: ignor
     with pytest.raises(InputError, match=r"limits\.acceleration.*leg_FL"):
         load_description(path)
     path.write_text(source.replace("  acceleration:\n    leg_LF: 5.0", "  acceleration:\n    leg_LF: -5.0"))
-    with pytest.raises(InputError, match=r"limits\.acceleration\.leg_LF.*greater than 0"):
+    with pytest.raises(InputError, match=r"limits\.acceleration\.leg_LF.*greater than or equal to"):
         load_description(path)
 
 

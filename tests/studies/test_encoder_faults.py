@@ -11,12 +11,12 @@ import pytest
 
 from effort import some
 from wbmpc.bases.ball.messages import BallMeasurement
-from wbmpc.bases.ball.plant import BallPlant
 from wbmpc.bases.ball.sensors import SensorFault
 from wbmpc.result import RunResult
 from wbmpc.studies.minniti2019 import task as rezero_task
 from wbmpc.studies.minniti2019.push import HAND_EXPERIMENT
 from wbmpc.studies.minniti2019.push_settings import RezeroPushHandSettings
+from wbmpc.studies.minniti2019.servo_plant import ServoPlant
 
 START = 0.6
 
@@ -24,12 +24,12 @@ START = 0.6
 def pushed(monkeypatch: pytest.MonkeyPatch, *faults: SensorFault) -> RunResult:
     """One push of 60 N at 0.5 s."""
 
-    class Faulty(BallPlant):
+    class Faulty(ServoPlant):
         def __init__(self, *given: Any, **more: Any) -> None:
             super().__init__(*given, **more)
             self.sensors.faults = faults
 
-    monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
+    monkeypatch.setattr(rezero_task, "ServoPlant", Faulty)
     return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle_time=0.5, push_duration=0.1, pause=2.0), 0)
 
 
@@ -64,12 +64,12 @@ def test_two_wheels_are_needed(monkeypatch: pytest.MonkeyPatch) -> None:
 def changed(monkeypatch: pytest.MonkeyPatch, fault: Callable[[BallMeasurement], BallMeasurement]) -> RunResult:
     """The same push, with messages that ``fault`` changes from 0.1 s on."""
 
-    class Faulty(BallPlant):
+    class Faulty(ServoPlant):
         def measure(self) -> BallMeasurement:
             m = super().measure()
             return fault(m) if m.time > 0.1 - 1e-9 else m
 
-    monkeypatch.setattr(rezero_task, "BallPlant", Faulty)
+    monkeypatch.setattr(rezero_task, "ServoPlant", Faulty)
     return HAND_EXPERIMENT.run(RezeroPushHandSettings(forces=(60.0,), settle_time=0.5, push_duration=0.1, pause=2.0), 0)
 
 

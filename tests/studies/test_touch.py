@@ -221,7 +221,8 @@ def test_noise_of_the_speed_moves_no_panel_that_rests() -> None:
     controller.contact = SimpleNamespace(touching=True)  # type: ignore[assignment]
     controller.push = SimpleNamespace(open=1.0, give_up=9.0)  # type: ignore[assignment]
     controller.sensor = SimpleNamespace(fault="")  # type: ignore[assignment]
-    controller._place_door = controller._identify = lambda end_effector: None  # type: ignore[method-assign]
+    controller._place_door = controller._identify = lambda *given: None  # type: ignore[method-assign]
+    controller.force = np.full(3, 5.0)
     controller.moving, controller._mean_rate, controller.door = False, 0.0, np.zeros(2)
     normal = controller.geometry.directions(0.0)[1]
     place = controller.geometry.place(0.0, 0.7, HAND[2])
