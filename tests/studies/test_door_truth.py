@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from wbmpc.log import Log
+from wbmpc.ocp import Mode, ModeSchedule
 from wbmpc.simulation.lockstep import Ending
+from wbmpc.solver.results import Trajectory
+from wbmpc.studies.minniti2019.door_control import FreeOfForce
 from wbmpc.studies.minniti2019.door_figures import Trial, trial_metrics
 from wbmpc.studies.minniti2019.door_filter import LeverFit
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
@@ -56,6 +61,18 @@ def test_the_lever_of_a_door_is_found_from_the_way_of_the_end_effector(lever: fl
         found.append(fit.lever)
     assert fit.lever == pytest.approx(lever, abs=0.01) and fit.now == pytest.approx(lever + slide, abs=0.01)
     assert np.all(np.abs(np.array(found) - lever) < 0.15)  # hardly farther off than it was known at first
+
+
+def test_a_solve_starts_without_force_where_the_end_effector_is_free() -> None:
+    """By hand: free until 1.2 s, in contact up to 1.5 s, then free. A plan that fits is left as it is: its multipliers stay too."""
+    free, moving = Mode("free"), Mode("moving")
+    guess = FreeOfForce()
+    guess.bind(SimpleNamespace(solver=SimpleNamespace(schedule=ModeSchedule((free, moving, free), (1.2, 1.5)))))  # type: ignore[arg-type]
+    plan = Trajectory(1.0, np.linspace(0.0, 0.8, 9), np.zeros((9, 4)), np.ones((8, 5)))
+    found = guess(1.0, np.zeros(4), plan)
+    assert found is not None and np.all(found.u[:, :2] == 1.0)
+    np.testing.assert_array_equal(found.u[:, 2:].any(axis=1), [False, True, True, True, False, False, False, False])
+    assert guess(1.0, np.zeros(4), found) is None
 
 
 def test_doors_are_drawn_about_their_kind_and_reach_beyond_the_end_effector() -> None:
