@@ -155,8 +155,9 @@ class PlanarOdometry:
 
     @property
     def lever(self) -> float:
-        """How far [m] a turn by the gyro that is no turn of the wheels moves the base for each radian, by the wheels' weights."""
-        return float(np.linalg.norm(self._twist[:2, :-1] @ self._fit_linear @ self._rates[:, -1]))
+        """How far [m] a turn moves the base for each radian that it is the gyro's and not the wheels', by their weights."""
+        ahead = self._fit_linear @ self._rates[:, -1]
+        return float(np.linalg.norm(self._twist[:2, :-1] @ ahead - self._twist[:2, -1]))
 
     def update(self, time: float, wheel: ArrayLike, yaw_rate: float | None) -> Array:
         """The pose after wheel angles (n) [rad] at ``time`` [s]; ``yaw_rate`` [rad/s]: mean of the gyro since the last call, None
