@@ -24,19 +24,22 @@ BESIDE.hinge[:] += [0.4, -0.3]
 
 
 class Turning:
-    """Wheels that roll as those of a base that turns; the gyro says what it really does."""
+    """Wheels that roll as those of a base that turns, and goes ahead at a ``speed`` [m/s]; the gyro says what it likes. ``true`` (3): where
+    such a base is."""
 
-    def __init__(self, odometry: FusedOdometry) -> None:
-        self.odometry, self.t, self.wheel = odometry, 0.0, np.zeros(4)
+    def __init__(self, odometry: FusedOdometry, speed: float = 0.0) -> None:
+        self.odometry, self.speed, self.t, self.wheel, self.true = odometry, speed, 0.0, np.zeros(4), np.zeros(3)
         self.rng = np.random.default_rng(0)
 
-    def go(self, seconds: float, wheels: float, gyro: float) -> None:
-        zero = np.zeros(4)
-        steer, rates = rolling_inverse_kinematics(self.odometry.geometry, zero, zero, [0.0, 0.0, RATE], zero)
+    def go(self, seconds: float, wheels: float, gyro: float, noise: float = 2e-4) -> None:
+        zero, speed = np.zeros(4), self.speed * (wheels != 0.0)
+        twist = np.array([speed, 0.0, wheels or RATE])
+        steer, rates = rolling_inverse_kinematics(self.odometry.geometry, zero, zero, twist, zero)
         for _ in range(round(seconds / PERIOD)):
-            self.t, self.wheel = self.t + PERIOD, self.wheel + wheels / RATE * rates * PERIOD
-            noise = 2e-4 / np.sqrt(PERIOD) * self.rng.normal()
-            self.odometry.update(self.t, zero, steer, self.wheel, gyro + noise)
+            self.t, self.wheel = self.t + PERIOD, self.wheel + rates * PERIOD * (wheels != 0.0)
+            self.true = lie.se2_step(self.true, twist * PERIOD * (wheels != 0.0))
+            noisy = noise / np.sqrt(PERIOD) * self.rng.normal()
+            self.odometry.update(self.t, zero, steer, self.wheel, gyro + noisy)
 
     def wrong_radii(self) -> float:
         """The largest relative error, of wheels that are as described."""
@@ -63,17 +66,43 @@ def test_wheels_that_turn_a_base_which_does_not_teach_nothing(geometry: object, 
 
 
 def test_the_deviation_grows_while_wheels_and_gyro_contradict_each_other() -> None:
-    """One of the two is wrong: by hand, 0.15 of the contradiction to the yaw, for as long as it has lasted beyond half a second."""
+    """One of the two is wrong, and nothing says which: by hand, the yaw by all of the contradiction, from the beginning on."""
     base, spreads = Turning(FusedOdometry(FOUR)), []
     base.go(5.0, 0.0, 0.0)
     for _ in range(3):
         base.go(2.0, RATE, 0.0)
         spreads.append(np.sqrt(base.odometry.covariance[2, 2]))
-    np.testing.assert_allclose(spreads, 0.15 * RATE * np.array([1.5, 3.5, 5.5]), rtol=0.15)
+    np.testing.assert_allclose(spreads, RATE * np.array([2.0, 4.0, 6.0]), rtol=0.05)
     base.go(2.0, RATE, RATE)
     stays = np.sqrt(base.odometry.covariance[2, 2])
     base.go(5.0, RATE, RATE)
     np.testing.assert_allclose(np.sqrt(base.odometry.covariance[2, 2]), stays, rtol=0.02)
+
+
+@pytest.mark.parametrize("geometry", [FOUR, BESIDE])
+@pytest.mark.parametrize("stuck", [0.0, 0.3])
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+@pytest.mark.parametrize("lidar", [False, True])
+def test_a_gyro_that_is_stuck_is_found_by_global_poses(
+    geometry: object, stuck: float, speed: float, lidar: bool
+) -> None:
+    """It goes on with what it said last, 0 too, while the base turns otherwise. Truth: where its wheels rolled. It is within three
+    stated deviations (and 2 mrad, for a single message finds nothing), and right global poses are taken in, at once or after it all."""
+    base = Turning(FusedOdometry(geometry), speed)  # type: ignore[arg-type]
+    base.go(2.0, 0.0, 0.0)
+    base.go(2.0, stuck, stuck)
+    odometry, covariance = base.odometry, np.diag([0.02, 0.02, 0.01]) ** 2
+    for k in range(120):
+        base.go(0.05, RATE, stuck, noise=0.0)
+        off = odometry.pose - base.true
+        off[2] = lie.wrapped(off[2]) if lidar else off[2]
+        assert abs(off[2]) < 3.0 * np.sqrt(odometry.covariance[2, 2]) + 2e-3, k
+        assert off @ np.linalg.solve(odometry.covariance + np.diag([1e-3, 1e-3, 2e-3]) ** 2, off) < 21.1, k
+        if lidar and k % 2:
+            seen = base.true + np.sqrt(np.diag(covariance)) * base.rng.normal(size=3)
+            assert odometry.correct(base.t, seen, covariance), k
+    assert odometry.correct(base.t, base.true, covariance)
+    assert base.wrong_radii() < 3e-3
 
 
 def test_a_late_global_pose_decides_as_it_was_decided_in_time() -> None:

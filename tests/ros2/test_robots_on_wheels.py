@@ -117,6 +117,34 @@ def test_a_wrong_stamp_turns_nobody(robot: RobotModel) -> None:
     assert c.pose[2] == pytest.approx(turned, abs=0.006)
 
 
+@pytest.mark.parametrize("rest", [5.0, 0.0])
+@pytest.mark.parametrize("lidar", [False, True])
+@pytest.mark.parametrize("speed", [0.0, 0.3])
+def test_a_gyro_that_says_nothing_is_within_the_stated_deviation(
+    robot: RobotModel, rest: float, lidar: bool, speed: float
+) -> None:
+    """It says 0 of a base that turns, whose bias it has shown before (after a ``rest`` [s]) or not. Truth: wheels that roll. Contradictions are
+    found after 0.2 s; from then on the pose is within three deviations, and poses of another localization correct it."""
+    c, rng, wheel, true, h, rate = follower(robot), np.random.default_rng(0), np.zeros(2), np.zeros(3), 0.01, 0.5
+    covariance = np.diag([0.02, 0.02, 0.01]) ** 2
+    for k in range(round((rest + 6.0) / h)):
+        moving, fix = k * h > rest, None
+        if moving:
+            wheel = wheel + np.array([speed - HALF * rate, speed + HALF * rate]) / RADIUS * h
+            true = lie.se2_step(true, robot.base.twist @ [speed, rate] * h)
+        if lidar and k % 10 == 5:
+            fix = k * h, true + np.sqrt(np.diag(covariance)) * rng.normal(size=3), covariance
+        c.fix = lambda fix=fix: fix
+        noise = 0.0 if moving else 3e-4 / np.sqrt(h) * rng.normal()
+        c.measure(BusMeasurement(k * h, wheel, np.zeros(2), turning=noise))
+        if k * h < rest + 0.45:
+            continue
+        off, deviation = c.pose - true, np.sqrt(c.covariance[2, 2])
+        assert abs(lie.wrapped(off[2]) if lidar else off[2]) < 3.0 * deviation, k
+        assert np.hypot(*off[:2]) < 3.5 * np.sqrt(np.linalg.eigvalsh(c.covariance[:2, :2])[-1]), k
+    assert lidar or deviation > 0.9 * 6.0 * rate
+
+
 def test_encoders_that_restart_move_nobody(robot: RobotModel) -> None:
     c = follower(robot)
     for k, wheels in enumerate((100.0, 100.1, 0.0, 0.1)):

@@ -38,7 +38,7 @@ class GyroFilter:
     def __init__(self, doubt: Array) -> None:
         n = WHEELS + len(doubt)
         self._mean, self._covariance = np.zeros(n), np.zeros((n, n))
-        self.contradicted = False
+        self.contradicted, self._apart = False, 0.0
         self._covariance[GYRO, GYRO], self._covariance[WHEELS:, WHEELS:] = BIAS**2, doubt
         self._clear()
 
@@ -56,6 +56,17 @@ class GyroFilter:
     def std(self) -> float:
         """[rad/s]."""
         return float(np.sqrt(self._covariance[GYRO, GYRO]))
+
+    @property
+    def apart(self) -> float:
+        """By how much [rad] the gyro has turned further than the wheels where they contradicted each other; either may be wrong by all of it."""
+        return self._apart + (self._off if self.contradicted else 0.0)
+
+    @property
+    def _off(self) -> float:
+        """The same in what has come together since the last comparison."""
+        believed = self.bias * self._time + float(self._shares @ (1.0 + self._mean[WHEELS:]))
+        return self._turn - believed
 
     def place(self) -> None:
         """The pose comes from elsewhere: nothing that is found of the bias changes what was before."""
@@ -96,11 +107,12 @@ class GyroFilter:
         gain = p @ row
         variance = float(row @ gain) + noise
         gain[YAW] -= NOISE**2 * led + slip  # the same noise is in the yaw
-        off = self._turn - float(wheels.sum()) - float(row @ self._mean)
+        off = self._off
         rolls = float(np.abs(wheels).max(initial=0.0)) > COUNT
         self._covariance = p
         self.contradicted = rolls and off**2 > SLIPS**2 * variance
         if self.contradicted:
+            self._apart += off
             return None
         self._mean = self._mean + gain * (off / variance)
         self._covariance = p - np.outer(gain, gain / variance)
@@ -140,6 +152,12 @@ class PlanarOdometry:
         weighted = root[:, None] * rates
         self._rates = rates
         self._fit, self._fit_linear = np.linalg.pinv(weighted) * root, np.linalg.pinv(weighted[:, :-1]) * root
+
+    @property
+    def lever(self) -> float:
+        """How far [m] a turn moves the base for each radian that it is the gyro's and not the wheels', by their weights."""
+        ahead = self._fit_linear @ self._rates[:, -1]
+        return float(np.linalg.norm(self._twist[:2, :-1] @ ahead - self._twist[:2, -1]))
 
     def update(self, time: float, wheel: ArrayLike, yaw_rate: float | None) -> Array:
         """The pose after wheel angles (n) [rad] at ``time`` [s]; ``yaw_rate`` [rad/s]: mean of the gyro since the last call, None

@@ -64,6 +64,8 @@ class BusController(PlanarController):
         self.speed: Array = np.zeros(3)
         self._was: deque[tuple[float, Array]] = deque(maxlen=REMEMBERED)  # times [s] that go on from run to run, poses
         self._counted = self.pose.copy()  # up to where the way is in the covariance
+        # turn [rad] by which wheels and gyro contradict each other: up to where it is in the covariance, and what of it moves the pose
+        self._apart, self._doubt = 0.0, 0.0
         self._waited, self._passed = Waited(), 0.0  # time [s] from the message before to the last one
         # when the last message that waited came: before that it is not known where the base was when
         self._waited_until = -np.inf
@@ -123,7 +125,7 @@ class BusController(PlanarController):
         if series.simulations != known.simulations:
             self._was.clear()
             self.odometry.place(np.zeros(3))
-            self.covariance, self._counted = np.zeros((3, 3)), np.zeros(3)
+            self.covariance, self._counted, self._doubt = np.zeros((3, 3)), np.zeros(3), 0.0
 
     def _restarted(self, last: PlanarMeasurement, now: PlanarMeasurement, interval: float) -> bool:
         upper = planar_base(self.robot).wheel_upper
@@ -137,6 +139,7 @@ class BusController(PlanarController):
         elif interval < 0.0:  # a wrong stamp, before or now, or another clock
             self.covariance = self.covariance + np.diag(UNSEEN**2)
         self._count_way()
+        self._count_contradiction()
         self.speed = moved / interval if 0.0 < interval <= GAP else np.zeros(3)
 
     def _count_way(self) -> None:
@@ -150,6 +153,15 @@ class BusController(PlanarController):
         self.covariance = turned @ self.covariance @ turned.T + np.diag(spread)
         self._counted = self.pose.copy()
 
+    def _count_contradiction(self) -> None:
+        """Gyro or wheels turn the pose wrongly where they contradict each other, by up to all of it, and it adds up."""
+        apart, before = self.odometry.gyro.apart, self._doubt
+        if apart == self._apart:
+            return
+        self._doubt, self._apart = before + apart - self._apart, apart
+        grown = max(self._doubt**2 - before**2, 0.0)
+        self.covariance = self.covariance + grown * np.diag([self.odometry.lever**2, self.odometry.lever**2, 1.0])
+
     def _correct(self, t: float, pose: Array, covariance: Array) -> None:
         """By both covariances, where the base was at t [s]: what it has driven since stays. A pose without a covariance is exact and of
         now, and so is the first one, which says where the robot is."""
@@ -162,7 +174,9 @@ class BusController(PlanarController):
         gain = np.eye(3) if sure else self.covariance @ np.linalg.pinv(self.covariance + covariance)
         self._move_way(then, gain @ error)
         self.placed = True
+        before = self.covariance[2, 2]
         self.covariance = covariance.copy() if sure else (np.eye(3) - gain) @ self.covariance
+        self._doubt *= 0.0 if sure or before == 0.0 else self.covariance[2, 2] / before
         if sure:  # the covariance is of the pose of now: the way before it is none of it
             self._counted = self.pose.copy()
 

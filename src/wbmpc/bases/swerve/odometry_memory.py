@@ -8,7 +8,7 @@ import numpy as np
 
 from wbmpc.arrays import Array
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State, with_open_legs
-from wbmpc.bases.swerve.odometry_step import WHEELS, Beside, Interval, Noise, Way, advance, farthest, measure
+from wbmpc.bases.swerve.odometry_step import WHEELS, Interval, Noise, Otherwise, Way, advance, farthest, measure
 from wbmpc.bases.swerve.slip_step import WINDOWS, slip_memory
 from wbmpc.bases.swerve.wheel_fit import WheelFit
 from wbmpc.kernel.step import bind
@@ -44,7 +44,7 @@ class OdometryMemory:
         self.state_end = int(ends[len(state) - 1])
         scratch = {"pose": 12, "by": 6 * n, "spread": 9, "cross": size}
         memory = {"off": 2 * n, "rolled_off": n, "way": int(Way.SIZE), "smoothed": 6 * n, "slip_mean": WINDOWS * 2 * n}
-        memory |= {"apart": 2 * n + 2, "beside": int(Beside.SIZE)}
+        memory |= {"apart": 2 * n + 2, "otherwise": int(Otherwise.SIZE)}
         self.arrays = {
             **self.wheels.memory,
             **kept,
@@ -78,7 +78,7 @@ class OdometryMemory:
 
     def forget_sliding(self) -> None:
         """Wheels that slide from now on begin to."""
-        for name in ("apart", "beside", "lasted"):
+        for name in ("apart", "otherwise", "lasted"):
             self.arrays[name][:] = 0.0
 
     def __deepcopy__(self, memo: dict[int, object]) -> OdometryMemory:

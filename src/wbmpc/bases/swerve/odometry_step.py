@@ -15,8 +15,9 @@ from wbmpc.bases.swerve.slip_step import slip_intensity
 from wbmpc.bases.swerve.wheel_fit import Wheels, fit, move
 from wbmpc.kernel.ir import Floats
 
-#: Time constant [s] of the derivatives of the twist by the wheels' corrections.
-SMOOTHING = 0.05
+#: Time constant [s] of the derivatives of the twist by the wheels' corrections. Contradictions of the wheels are added up over pieces of
+#: way [m] of a length in which the counts of encoders cancel.
+SMOOTHING, PIECE = 0.05, 0.05
 #: Weights of wheels below this count as this in their variances: without a weight a wheel has no share.
 SMALLEST = 1e-9
 #: Standard deviation [m/√s] of a velocity by an inertial unit: 0.02 m/s that last for 0.3 s.
@@ -24,7 +25,8 @@ COASTING = 0.01
 #: Wheels that contradict each other, or the gyro, by more than this [m/s], averaged over so long [s], for longer than this [s], slide: no noise
 #: of each interval, but an error that adds up, until they have contradicted each other less for as long.
 SLIDES, AVERAGED, BRIEF = 0.05, 0.1, 0.5
-#: Standard deviation of the base's velocity then, as a share of the contradiction: by the wheels, and with an inertial unit's velocity.
+#: Standard deviation of the base's velocity then, as a share of the contradiction: by the wheels, and with an inertial unit's velocity. Of
+#: its turn where a gyro contradicts them it is all of it: the base may be held, or the gyro be stuck.
 UNSURE, COASTS = 0.7, 0.15
 #: Wheels that turn otherwise than the gyro by so many standard deviations, averaged over AVERAGED, turn no base, nor until BRIEF after it.
 #: Standard deviations of a turn [rad/s] by creep of tires, and by wheels that turn no base.
@@ -68,16 +70,13 @@ class Way(IntEnum):
     SIZE = 2
 
 
-class Beside(IntEnum):
-    """Entries of the array ``beside``."""
+class Otherwise(IntEnum):
+    """Entries of the array ``otherwise``."""
 
     OFF = 0  # rate [rad/s] of the gyro less that of the wheels, averaged
-    LEFT = 1  # for how long [s] wheels still turn no base
-    SIZE = 2
-
-
-#: Contradictions of the wheels are added up over pieces of way [m] of this length, in which the counts of encoders cancel.
-PIECE = 0.05
+    REMAINING = 1  # for how long [s] wheels still turn no base
+    LOST = 2  # what the contradiction may have turned the base in the interval: its variance [rad²/s], for each second that it has lasted
+    SIZE = 3
 
 
 class Odometry(NamedTuple):
@@ -96,7 +95,7 @@ class Odometry(NamedTuple):
     rolled_off: Floats  # (n) [m], and what wheels rolled in it
     way: Floats  # Way
     apart: Floats  # (n, 2) [m/s], contradictions of wheels and gyro, averaged; for how long [s] they have been large; and now small
-    beside: Floats  # Beside
+    otherwise: Floats  # Otherwise
     smoothed: Floats  # (3, 2n), derivatives of the twist's rate, averaged
     pose: Floats  # derivative (3, 3) of the move by the twist, then the move (3)
     by: Floats  # (3, 2n), of the move by the wheels; scratch
@@ -117,8 +116,7 @@ def farthest(n: int, before: Floats, now: Floats) -> float:
 @compiled
 def note_contradiction(w: Wheels, o: Odometry) -> None:
     """Add an interval to the present piece of way: ``off`` (n, 2) and ``rolled_off`` (n) [m], as far as wheels count."""
-    n, residual, off, rolled_off = w.n, w.residual, o.off, o.rolled_off
-    piece = 0.0
+    n, residual, off, rolled_off, piece = w.n, w.residual, o.off, o.rolled_off, 0.0
     for i in range(n):
         off[2 * i] += w.weights[i] * residual[2 * i]
         off[2 * i + 1] += w.weights[i] * residual[2 * i + 1]
@@ -195,17 +193,21 @@ def turn_variance(w: Wheels, o: Odometry, h: float, rate: float) -> float:
 def follow_gyro(w: Wheels, o: Odometry, h: float) -> None:
     """Where the wheels turn otherwise than the gyro, by more than either is uncertain, as on blocks or where something holds the base: the
     turn is the gyro's, about the middle of the wheels, and shows neither radii nor bias. All of it is in the interval, for a replay."""
-    interval, beside, twist = o.interval, o.beside, w.twist
-    beside[Beside.LEFT] = max(beside[Beside.LEFT] - h, 0.0)
+    interval, otherwise, twist = o.interval, o.otherwise, w.twist
+    otherwise[Otherwise.REMAINING], otherwise[Otherwise.LOST] = max(otherwise[Otherwise.REMAINING] - h, 0.0), 0.0
     if interval[Interval.HAS_GYRO] == 0.0:
         return
     turn = interval[Interval.TURN] - o.mean[BIAS] * h
     more = turn - twist[2]
-    beside[Beside.OFF] += (1.0 - np.exp(-h / AVERAGED)) * (more / h - beside[Beside.OFF])
-    if beside[Beside.OFF] ** 2 > OTHERWISE**2 * turn_variance(w, o, h, turn / h):
-        beside[Beside.LEFT] = BRIEF
-    if beside[Beside.LEFT] == 0.0:
+    otherwise[Otherwise.OFF] += (1.0 - np.exp(-h / AVERAGED)) * (more / h - otherwise[Otherwise.OFF])
+    if otherwise[Otherwise.OFF] ** 2 > OTHERWISE**2 * turn_variance(w, o, h, turn / h):
+        if otherwise[Otherwise.REMAINING] == 0.0:  # what it has turned by now, averaged
+            otherwise[Otherwise.LOST] = otherwise[Otherwise.OFF] ** 2 * AVERAGED
+        otherwise[Otherwise.REMAINING] = BRIEF
+    if otherwise[Otherwise.REMAINING] == 0.0:
         return
+    if otherwise[Otherwise.LOST] == 0.0:
+        otherwise[Otherwise.LOST] = 2.0 * max(otherwise[Otherwise.OFF] * more, 0.0)
     mx, my = middle(w)
     by = o.cross  # scratch
     by[0], by[1], by[2] = my, -mx, 1.0
@@ -238,29 +240,27 @@ def coast(w: Wheels, o: Odometry, h: float) -> None:
 
 @compiled
 def slide(w: Wheels, o: Odometry, h: float, more: float) -> None:
-    """What wheels add to the uncertainty that have contradicted each other, or the gyro (by ``more`` [rad]), for long, and still do: the longer,
-    the more in each interval. A wheel that counts little beside others is no contradiction; beside one alone it is."""
+    """What wheels add to the uncertainty that have contradicted each other, or the gyro (by ``more`` [rad]), for long, and still do: the
+    longer, the more in each interval; where the turn is the gyro's, from the first moment on. A wheel that counts little is none, but one of two."""
     n, apart, interval, covariance = w.n, o.apart, o.interval, o.covariance
     top, total, arm = SMALLEST, 0.0, 0.0
     for i in range(n):
-        top = max(top, w.weights[i])
-        total += w.weights[i]
+        top, total = max(top, w.weights[i]), total + w.weights[i]
     mx, my = middle(w)
     has_gyro = interval[Interval.HAS_GYRO] > 0.0
-    freedoms = -2.0 if has_gyro else -3.0
-    new, square = 1.0 - np.exp(-h / AVERAGED), 0.0
+    new, square, freedoms = 1.0 - np.exp(-h / AVERAGED), 0.0, -2.0 if has_gyro else -3.0
     for i in range(n):
-        x, y, share = w.axes[2 * i] - mx, w.axes[2 * i + 1] - my, 1.0
-        if total > 1.5 * top:
-            share = w.weights[i] / top
+        x, y = w.axes[2 * i] - mx, w.axes[2 * i + 1] - my
+        share = w.weights[i] / top if total > 1.5 * top else 1.0
         apart[2 * i] += new * ((w.residual[2 * i] - more * y) / h - apart[2 * i])
         apart[2 * i + 1] += new * ((w.residual[2 * i + 1] + more * x) / h - apart[2 * i + 1])
         square += share * (apart[2 * i] ** 2 + apart[2 * i + 1] ** 2)
         freedoms += 2.0 * share
         arm += (x * x + y * y) / n
     square /= max(freedoms, 1.0)
-    large = square > SLIDES**2 or o.beside[Beside.LEFT] > 0.0
-    apart[2 * n] = apart[2 * n] + h if large else max(apart[2 * n] - h, 0.0)
+    held = o.otherwise[Otherwise.REMAINING] > 0.0
+    large = held or square > SLIDES**2
+    apart[2 * n] = max(apart[2 * n], BRIEF if held else 0.0) + h if large else max(apart[2 * n] - h, 0.0)
     apart[2 * n + 1] = 0.0 if large else apart[2 * n + 1] + h
     if apart[2 * n + 1] > BRIEF:
         apart[2 * n] = 0.0
@@ -268,12 +268,12 @@ def slide(w: Wheels, o: Odometry, h: float, more: float) -> None:
     interval[Interval.LOST], interval[Interval.LOST_TURN] = 0.0, 0.0
     if large and interval[Interval.SLIDING] > 0.0:
         square *= (COASTS if o.inertial[2] > 0.0 else UNSURE) ** 2
+        if held:  # a way along a heading that is off by e is too long by its share 1 - cos e, of which derivatives know nothing
+            off = 0.5 * o.p[2 * (WHEELS + 2 * n) + 2] / h
+            square += min(off * off, 1.5 / (h * h)) * (w.twist[0] ** 2 + w.twist[1] ** 2)
         # an error v of the velocity has moved the base by v t: what its variance grows by, but for t
         interval[Interval.LOST] = 2.0 * square * h
-        if not has_gyro:
-            interval[Interval.LOST_TURN] = interval[Interval.LOST] / arm
-        elif o.beside[Beside.LEFT] > 0.0:  # a gyro may be the wrong one
-            interval[Interval.LOST_TURN] = 2.0 * (COASTS * o.beside[Beside.OFF]) ** 2 * h
+        interval[Interval.LOST_TURN] = o.otherwise[Otherwise.LOST] if has_gyro else interval[Interval.LOST] / arm
         covariance[0] += square * h * h
         covariance[4] += square * h * h
 
@@ -288,9 +288,8 @@ def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> No
     note_contradiction(w, o)
     window, interval = o.noise[Noise.SLIP_WINDOW], o.interval
     slips = h * slip_intensity(o.slip, o.slip_mean, w.n, w.residual, w.weights, w.rolled, window, h)
-    counts = wheel_noise(w, o, slips, h)
+    interval[Interval.COUNTS] = wheel_noise(w, o, slips, h)
     interval[Interval.H], interval[Interval.TURN], interval[Interval.HAS_GYRO] = h, turn, float(has_gyro)
-    interval[Interval.COUNTS] = counts
     more = w.twist[2] - turn + o.mean[BIAS] * h if has_gyro else 0.0
     follow_gyro(w, o, h)
     coast(w, o, h)
@@ -332,14 +331,15 @@ def move_row(n: int, p: Floats, first: int, stride: int, x: float, y: float, by:
 
 @compiled
 def lose(o: Odometry, size: int) -> None:
-    """What wheels that slide add to the covariance of the pose in the interval: the more, the longer their error has moved it."""
+    """What wheels that slide add to the covariance of the pose in the interval: the more, the longer their error has moved it. What
+    contradicts a gyro has done so for as long as it was averaged when it is found."""
     p, interval, lasted = o.p, o.interval, o.lasted
     if interval[Interval.LOST] > 0.0:
         lasted[0] += interval[Interval.H]
     lasted[0] = min(lasted[0], interval[Interval.SLIDING])
     p[0] += interval[Interval.LOST] * lasted[0]
     p[size + 1] += interval[Interval.LOST] * lasted[0]
-    p[2 * size + 2] += interval[Interval.LOST_TURN] * lasted[0]
+    p[2 * size + 2] += interval[Interval.LOST_TURN] * max(lasted[0], AVERAGED * interval[Interval.HAS_GYRO])
 
 
 @step
