@@ -253,6 +253,39 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
     assert not queue._latched
 
 
+@pytest.mark.parametrize("held", [0.2, 0.47, 0.499])
+def test_the_silence_of_a_process_that_was_held_up_is_no_pause_of_a_stream(held: float) -> None:
+    """A stream of 10 Hz never pauses, also while the process is held up for less than a speed holds (0.5 s): a robot that has stopped stays
+    where it is, until the stream pauses itself. Truth: by hand."""
+    robot = load_robot("differential-ur10")
+    settings, bus, now = settings_of(robot)(), Listening(), [10.0]
+    queue, look = listening(robot, settings, bus, now)
+    bus.publishers = lambda *given: []  # type: ignore[attr-defined]
+
+    def wait(seconds: float) -> None:
+        for _ in range(round(seconds / 0.02)):
+            now[0] += 0.02
+            look()
+
+    speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
+    speed(0.5)
+    queue.take()
+    queue.stop()
+    for _ in range(3):
+        wait(0.1)
+        speed(0.5)
+    wait(0.08)
+    now[0] += held
+    for _ in range(3):
+        speed(0.5)
+        look()
+        wait(0.1)
+    assert queue.take() is None
+    wait(0.6)
+    speed(0.5)
+    assert queue.take() is not None
+
+
 #: Works for long beside the thread that looks, then waits to be stopped; says whether a goal of its beginning is old.
 WORKS = """
 import sys, time
