@@ -27,6 +27,7 @@ if not MISSING:
     from ros2_stream import drive, stream
 
     from wbmpc.ros2.convert import header, pose
+    from wbmpc.ros2.hold_ups import AGAIN
 
 SEED, REST = 3, 1.0
 #: A short and fast sine, so that the test is; on the bus nobody has calibrated the wheels.
@@ -265,6 +266,7 @@ def test_a_controller_and_a_driver_that_hang_or_die_in_real_time() -> None:
         bus.wait_for(lambda: len(recorder.rows["base"]) > rows + 50, 60.0)
         # but for a tick before it knew, and the ramp; a robot that went on would go 2 m
         assert np.ptp(np.array(recorder.rows["base"])[rows:, 1]) < 0.2
+        time.sleep(AGAIN)  # goals before may be of the time of the hang
         goal.publish({"header": {"frame_id": "base_link"}})
         bus.wait_for(lambda: "running" in bus.said, 60.0)
         bus.sim.send_signal(signal.SIGSTOP)

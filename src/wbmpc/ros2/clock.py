@@ -34,6 +34,7 @@ class BusClock:
         self.origin, self.heard = 0.0, None  # type: float, float | None
         self._time, self.went_back = 0.0, False
         self._steady = self._ahead = 0.0
+        self._stood = 0.0, 1.0  # the longest silence since the restart [s of the wall], and the speed before it
         self._changed = threading.Condition()
         self._released = False
         self.speed = 1.0
@@ -52,6 +53,8 @@ class BusClock:
                 self._ahead += self._time - time_of_bus + _BEFORE
             if self.heard is None or time_of_bus != self._time:
                 previous, self.heard = self.heard, time.monotonic()
+                if previous is not None:  # before the speed says what the silence has made of it
+                    self._stood = max(self._stood, (self.heard - previous, self.speed))
                 if previous is not None and time_of_bus > self._time:
                     self._pass(min(time_of_bus - self._time, _MEMORY), max(self.heard - previous, 1e-6))
             self._time, self._steady = time_of_bus, time_of_bus + self._ahead
@@ -80,8 +83,15 @@ class BusClock:
         who = ", it has no publisher any more" if gone else ""
         return f"the time on /clock has stopped for {silent:.1f} s{who}" if gone or silent > limit else ""
 
+    def stood(self, limit: Callable[[float], float]) -> str:
+        """Why time does not count that goes on now: since :meth:`restart` it has stood for longer than ``limit(speed)`` [s of the wall], also
+        where this process was held up and messages wait that lead to now step by step; empty if it has not."""
+        silent, speed = self._stood
+        return f"the time on /clock stood still for {silent:.1f} s" if silent > limit(speed) else ""
+
     def restart(self) -> None:
         """Now is 0."""
+        self._stood = 0.0, 1.0
         self.origin, self.went_back, self._released = self._time, False, False
         self.source.settle()
 

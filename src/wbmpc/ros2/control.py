@@ -347,6 +347,8 @@ class ControlNode:
         if not isinstance(clock := self.clock, BusClock):
             return
         lost = self._clock_lost()
+        if self.running and not self.adapter.must_keep_running:
+            lost = lost or clock.stood(self.settings.silence)
         restarted = (
             "the time on /clock went back: the simulator was restarted" if clock.went_back else clock.source.replaced
         )

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wbmpc.errors import InputError
+from wbmpc.ros2.network import LEASE
 
 #: How often [s] a thread looks.
 BEAT = 0.02
@@ -18,6 +19,9 @@ WAITED = 0.1
 OWN_WORK = 0.5
 #: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
 OLD = 1.0
+#: So long [s] after a hold-up longer than :data:`OLD` goals of its time may still come: what found no room in the process's buffers
+#: reliable writers offer again, after pauses that grow until they forget a reader that is silent.
+AGAIN = LEASE + 0.5
 
 
 class HoldUps:
@@ -31,7 +35,7 @@ class HoldUps:
         self.wall, self._spent = wall, spent
         self._spent_before = spent()
         self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
-        self._held, self._fresh_from = 0.0, -np.inf
+        self._held, self._fresh_from, self._again_until = 0.0, -np.inf, -np.inf
         self._ended = threading.Event()
 
     def begin(self) -> None:
@@ -53,7 +57,7 @@ class HoldUps:
         if self._stood() > WAITED:
             self._held, self._fresh_from = self.waited(), now + WAITED
         if self._stood() > OLD:
-            self._over = now
+            self._over, self._again_until = now, now + AGAIN
         self._looked, self._spent_before = now, self._spent()
 
     def _stood(self) -> float:
@@ -72,7 +76,11 @@ class HoldUps:
 
     def too_old(self, what: str) -> str:
         """Why ``what`` has just come and does not count; empty if it does."""
-        return f"{what} is not of now: it came while the node was held up" if self.waited() > OLD else ""
+        if self.waited() > OLD:
+            return f"{what} is not of now: it came while the node was held up"
+        if self.wall() < self._again_until:
+            return f"{what} may not be of now: the node was held up within the last {AGAIN:g} s"
+        return ""
 
     def check(self, came: float) -> None:
         """Raise :class:`InputError` if what came at a time [s], and has not begun, does not count any more."""

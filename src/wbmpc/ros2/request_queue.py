@@ -219,7 +219,10 @@ class RequestQueue:
         pause = self.settings.safety.cmd_vel
         if np.any(target) and self.hold_ups.waited() > pause:
             raise InputError("the speed is not of now: it came while the node was held up")
-        self._latched = self._latched and bool(np.any(target)) and self._spoken_at - previous <= pause
+        silent = (
+            self._spoken_at - previous - self.hold_ups.waited()
+        )  # that of a node that was held up is not the stream's
+        self._latched = self._latched and bool(np.any(target)) and silent <= pause
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
         self._twist_at = self._spoken_at
