@@ -74,6 +74,8 @@ class Row:
     def missed(self) -> list[str]:
         """Goals that it misses."""
         found = [f"failed: {text}" for text in self.failures]
+        if not self.states:
+            return found
         found += ["mean error"] if self.errors and np.mean(self.errors) > MEAN else []
         found += ["jumps"] if self.reached < 1.0 or self.at_goal > AT_GOAL else []
         return found + (["solve time"] if self.states <= STATES and self.solve_ms > SOLVE_MS else [])
@@ -81,22 +83,32 @@ class Row:
     def cells(self) -> list[str]:
         """As a row of the table."""
         if self.skipped:
-            return [self.robot, *["–"] * (len(HEAD) - 2), f"skipped: {self.skipped}"]
+            return self._empty(f"skipped: {self.skipped}")
+        if not self.states:
+            return self._empty("; ".join(self.missed))
         mean, worst = 1e3 * float(np.mean(self.errors)), 1e3 * max(self.errors)
         return [
             self.robot, str(self.states), f"{mean:.3f}", f"{worst:.3f}", f"{100 * self.reached:.0f} %",
             f"{1e3 * self.at_goal:.2f}", f"{self.solve_ms:.2f}", str(self.lost), "; ".join(self.missed),
         ]  # fmt: skip
 
+    def _empty(self, note: str) -> list[str]:
+        return [self.robot, *["–"] * (len(HEAD) - 2), " ".join(note.split()).replace("|", "/")]
+
 
 def packaged(name: str, folder: Path) -> Path:
-    """The robot file that `wbmpc new --yes` writes for a model of an installed package. Raises ``PackageNotFoundError`` without it."""
+    """The robot file that `wbmpc new --yes` writes for a model of an installed package. Raises ``PackageNotFoundError`` without it, and
+    :class:`WbmpcError` with what the command says where it fails."""
     distribution, ending, options = PACKAGED[name]
-    model = next(f.locate() for f in files(distribution) or () if str(f).endswith(ending))
-    out = folder / f"{name}.yaml"
-    with contextlib.redirect_stdout(io.StringIO()):
-        if wbmpc(["new", str(model), "--yes", "--out", str(out), *options]):
-            raise WbmpcError(f"wbmpc new {model} failed")
+    model = next((f.locate() for f in files(distribution) or () if str(f).endswith(ending)), None)
+    if model is None:
+        raise WbmpcError(f"{distribution} has no file {ending}")
+    out, said = folder / f"{name}.yaml", io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
+        failed = wbmpc(["new", str(model), "--yes", "--out", str(out), *options])
+    if failed:  # the error comes after warnings
+        raise WbmpcError((said.getvalue().strip().splitlines() or [f"wbmpc new {model}"])[-1])
+    sys.stderr.write(said.getvalue())
     return out
 
 
@@ -183,15 +195,14 @@ def examine(name: str, robot: str, quick: bool = False, seed: int = 1) -> Row:
 
 
 def row(name: str, quick: bool) -> Row:
-    """One robot; skipped where its package is not installed."""
-    if name in OWN:
-        return examine(name, name, quick)
+    """One robot; skipped where its package is not installed, failed with the message where it cannot be loaded or run."""
     with tempfile.TemporaryDirectory() as folder:
         try:
-            file = packaged(name, Path(folder))
+            return examine(name, name if name in OWN else str(packaged(name, Path(folder))), quick)
         except PackageNotFoundError:
             return Row(name, skipped=f"pip install {PACKAGED[name][0]}")
-        return examine(name, str(file), quick)
+        except WbmpcError as error:
+            return Row(name, failures=(str(error),))
 
 
 def line(cells: Sequence[str]) -> str:

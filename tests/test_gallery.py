@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import mujoco
 import numpy as np
@@ -12,6 +12,7 @@ import pytest
 
 from effort import some
 from wbmpc.cli import main
+from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_spec
 from wbmpc.robots.doctor import examine_robot
@@ -21,6 +22,13 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import gallery
 
 HALF = np.pi / 2.0
+
+
+class File(PurePosixPath):
+    """A file of an installed distribution, as ``importlib.metadata`` has it."""
+
+    def locate(self) -> Path:
+        return Path(self)
 
 
 @pytest.mark.parametrize(
@@ -60,6 +68,30 @@ def test_a_robot_whose_package_is_not_installed_is_skipped(
     monkeypatch.setattr(sys, "argv", ["gallery.py", "--robots", "tiago"])
     assert gallery.main() == 0
     assert "| skipped: pip install no-such-distribution |" in capsys.readouterr().out
+
+
+def test_a_robot_that_does_not_load_is_a_failed_row_and_the_next_one_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """One whose model no command describes, and one whose file cannot be compiled in time. Truth: the messages, one row each."""
+    bad = tmp_path / "broken.urdf"
+    bad.write_text('<robot name="broken"><link name="a"/></robot>')
+    monkeypatch.setitem(gallery.PACKAGED, "tiago", ("own", "broken.urdf", ()))
+    monkeypatch.setattr(gallery, "files", lambda _: [File(bad)])
+
+    def examine(name: str, *_: object) -> gallery.Row:
+        if name == "ur5":
+            raise InputError("ur5.xml: MuJoCo does not compile it within 20 s | or more")
+        return gallery.Row(name, 7, (1e-5,), (), 1.0, 1e-3, 0.2)
+
+    monkeypatch.setattr(gallery, "examine", examine)
+    monkeypatch.setattr(sys, "argv", ["gallery.py", "--robots", "tiago", "ur5", "panda"])
+    assert gallery.main() == 1
+    rows = capsys.readouterr().out.splitlines()[2:]
+    assert len(rows) == 3 and len({row.count("|") for row in rows}) == 1
+    assert "failed: " in rows[0] and "no joint looks like an arm's" in rows[0]
+    assert "failed: ur5.xml: MuJoCo does not compile it within 20 s / or more" in rows[1]
+    assert rows[2].startswith("| panda | 7 | 0.010")
 
 
 @pytest.mark.parametrize("name", ["panda", "panda-omni"])

@@ -90,7 +90,10 @@ def check_meshes(subject: Subject) -> Iterator[Finding]:
         )
     unread = [name for name in file.meshes() if name not in missing and not name.lower().endswith(MESHES)]
     if unread:
-        text = f"of a format that is not read, '{unread[0]}' first: neither shown nor kept clear of anything, nor measured for wheel radii"
+        text = (
+            f"of a format that is not read, '{unread[0]}' first: not shown, nor measured for wheel radii; where they are to collide, what "
+            "is seen of the link stands for it, or what else of it collides"
+        )
         yield Finding("info", "", f"{len(unread)} files", text, f"convert them to {' or '.join(MESHES[:2])}")
 
 

@@ -180,7 +180,7 @@ def parse(
 ) -> mujoco.MjSpec:
     """The file as a specification that is not compiled, with all links kept. Files that are missing are left out, and named in
     ``missing``; so are the meshes of a URDF unless ``meshes``. ``collision``: of each link of a URDF only what collides, meshes too, or
-    what is seen where nothing of it collides. Raises :class:`InputError` naming the file."""
+    what is seen where nothing of it collides or a mesh of that cannot be read. Raises :class:`InputError` naming the file."""
     missing = [] if missing is None else missing
     log_warnings()
     if file.root is None:
@@ -228,11 +228,7 @@ def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
     if not whole:  # what is changed is copied, and no more
         root.extend(copy(e) for e in file.root if e.tag in _READ)
     for link in root.findall("link"):
-        shown = not (collision and link.findall("collision"))
-        for kind in ("visual", "collision"):
-            for element in link.findall(kind):
-                if not (_kept(element, file, whole) and (shown or kind == "collision")):
-                    link.remove(element)
+        _choose_shapes(link, file, whole, collision)
     for joint in root.findall("joint"):
         limit = joint.find("limit")
         if limit is not None and _number(limit, "lower") >= _number(limit, "upper"):
@@ -253,6 +249,20 @@ def _urdf(file: ModelFile, meshes: bool, collision: bool) -> mujoco.MjSpec:
             if looks and geom.contype:  # it collides, and is not drawn over what the body looks like
                 geom.group = HIDDEN
     return spec
+
+
+def _choose_shapes(link: ElementTree.Element, file: ModelFile, meshes: bool, collision: bool) -> None:
+    """Leave of a link's shapes those that can be read; ``collision``: what is seen only where nothing stands for it in collisions. Where
+    a collision mesh cannot be read, all that is seen stands for the link: with a part of it plans and plants would miss the rest."""
+    solid, seen = link.findall("collision"), link.findall("visual")
+    kept, shown = ([e for e in part if _kept(e, file, meshes)] for part in (solid, seen))
+    if meshes and shown and len(kept) < len(solid) and len(shown) == len(seen):
+        kept = []
+    if collision and kept:
+        shown = []
+    for element in (*solid, *seen):
+        if element not in kept and element not in shown:
+            link.remove(element)
 
 
 def _number(element: ElementTree.Element, name: str) -> float:
