@@ -13,7 +13,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -352,11 +352,9 @@ class DdsNode:
 
     def _end(self, reader: DataReader) -> None:
         LOCAL.check_waits("ends a subscription")
-        with ExitStack() as open_node:
-            try:
-                open_node.enter_context(self.in_use.hold())
-            except RunAborted:  # what closes it ends its subscriptions
-                return
+        if (held := self.in_use.begin()) is None:  # what closes it ends its subscriptions
+            return
+        with held:
             with self._lock:
                 if reader not in self._readers:
                     return

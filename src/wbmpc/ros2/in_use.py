@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import wraps
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
@@ -39,6 +39,15 @@ class InUse:
             with self._changed:
                 self._threads.remove(threading.get_ident())
                 self._changed.notify_all()
+
+    def begin(self) -> ExitStack | None:
+        """As :meth:`hold`, which has begun and ends with what is returned; None if it is closed."""
+        held = ExitStack()
+        try:
+            held.enter_context(self.hold())
+        except RunAborted:
+            return None
+        return held
 
     def close(self) -> bool:
         """Whether this call closes it: once, and when no other thread uses it any more."""
