@@ -161,7 +161,7 @@ def test_a_goal_from_before_the_process_was_held_up_does_not_start(
     legs = p.control.base_commands.commands
     assert ("from before" in legs.rejected) is (where == "waiting behind another one") and not legs.waiting
     monkeypatch.setattr(adapter, "begin", begin)
-    for _ in range(3):  # as the thread of the node does
+    for _ in range(45):  # as the thread of the node does, for four seconds
         hold_ups.look()
         now[0] += 0.09
     p.go(1.5)
