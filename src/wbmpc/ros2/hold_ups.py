@@ -53,10 +53,10 @@ class HoldUps:
 
     def look(self) -> None:
         """Messages that have come since the last look may be of any time since then, if that was long ago."""
-        now = self.wall()
-        if self._stood() > WAITED:
+        now, stood = self.wall(), self._stood()
+        if stood > WAITED:
             self._held, self._fresh_from = self.waited(), now + WAITED
-        if self._stood() > OLD:
+        if stood > OLD:
             self._over, self._again_until = now, now + AGAIN
         self._looked, self._spent_before = now, self._spent()
 

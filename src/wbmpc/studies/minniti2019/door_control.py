@@ -44,7 +44,7 @@ POINTS = 27
 class FreeOfForce:
     """Where solves start from when modes have changed (:class:`wbmpc.mpc.guess.Guess`): where the end effector is free now, the force of the
     last plan is gone. What an equality fixes would else keep a share of what it was until a full step is taken, and plans are
-    rejected meanwhile: for 0.1 s after a release."""
+    rejected meanwhile."""
 
     def bind(self, mpc: MPC) -> None:
         self._mpc = mpc
