@@ -43,10 +43,11 @@ def test_both_back_ends_say_the_same(modules: int, seed: int) -> None:
         np.testing.assert_allclose(both[0].slip, both[1].slip, rtol=1e-12)
 
 
-@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize(("gyro", "freezes"), [(True, False), (True, True), (False, False)])
 @pytest.mark.parametrize("seed", range(4))
-def test_one_step_is_that_of_the_textbook(gyro: bool, seed: int) -> None:
-    """Truth: A P Aᵀ + Q and the gain of correlated noise, by matrices of NumPy, with a derivative by differences."""
+def test_one_step_is_that_of_the_textbook(gyro: bool, freezes: bool, seed: int) -> None:
+    """Truth: A P Aᵀ + Q and the gain of correlated noise, by matrices of NumPy, with a derivative by differences; where nothing is
+    learned of bias and wheels, the covariance of any gain (Joseph's form), which has zeros there."""
     rng, noise = np.random.default_rng(seed), OdometryNoise()
     memory = OdometryMemory(FOUR, np.full(4, FOUR.wheel_radius), noise)
     a, size, h, turn = memory.arrays, WHEELS + 8, 0.01, 0.02
@@ -56,7 +57,7 @@ def test_one_step_is_that_of_the_textbook(gyro: bool, seed: int) -> None:
     for name in ("twist", "by_wheels", "correction"):
         a[name][:] = 0.3 * rng.normal(size=a[name].size)
     lost = (0.02, 0.0 if gyro else 0.03)
-    a["interval"][:] = [h, turn, float(gyro), 1e-4, lost[0] / 0.5, lost[1] / 0.5, 0.5]
+    a["interval"][:] = [h, turn, float(gyro), 1e-4, lost[0] / 0.5, lost[1] / 0.5, 0.5, float(freezes)]
     a["lasted"][:] = 0.7  # no longer than the wheels have slid: 0.5 s
     mean, by = a["mean"].copy(), a["by_wheels"].reshape(3, 8).copy()
     twist = a["twist"] + by @ (mean[WHEELS:] - a["correction"])
@@ -80,8 +81,11 @@ def test_one_step_is_that_of_the_textbook(gyro: bool, seed: int) -> None:
         cross = f @ p @ row
         cross[:3] += g @ q[:, 2]
         cross[LATE] -= late
-        moved += cross / variance * (turn - mean[BIAS] * h - mean[LATE] - behind - twist[2])
-        after -= np.outer(cross, cross) / variance
+        gain = cross / variance
+        if freezes:
+            gain[BIAS], gain[WHEELS:] = 0.0, 0.0
+        moved += gain * (turn - mean[BIAS] * h - mean[LATE] - behind - twist[2])
+        after += np.outer(gain, gain) * variance - np.outer(gain, cross) - np.outer(cross, gain)
     np.testing.assert_allclose(a["mean"], moved, rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(a["p"].reshape(size, size), after, rtol=1e-10, atol=1e-10 * np.abs(p).max())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from wbmpc.kernel.library import Library
 
 _STEPS = (
-    "odometry_step", "slip_step", "inertial_velocity", "brake_monitor", "tracking_step", "rolling",
+    "odometry_step", "kalman_step", "slip_step", "inertial_velocity", "brake_monitor", "tracking_step", "rolling",
 )  # fmt: skip
 LIBRARY = Library(
     "swerve robot",

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.arrays import Array
+from wbmpc.bases.swerve.kalman_step import advance
 from wbmpc.bases.swerve.odometry_filter import LegEvidence, OdometryNoise, State, with_open_legs
-from wbmpc.bases.swerve.odometry_step import WHEELS, Interval, Noise, Otherwise, Way, advance, farthest, measure
+from wbmpc.bases.swerve.odometry_step import WHEELS, Interval, Noise, Otherwise, Way, farthest, measure
 from wbmpc.bases.swerve.slip_step import WINDOWS, slip_memory
 from wbmpc.bases.swerve.wheel_fit import WheelFit
 from wbmpc.kernel.step import bind

@@ -1,6 +1,7 @@
-"""The fused odometry from one message to the next, compiled: what wheels and gyro say, and the Kalman filter's step.
+"""The fused odometry from one message to the next, compiled: what wheels and gyro say of the interval.
 
-Mathematics and state: :mod:`wbmpc.bases.swerve.odometry_filter`. Matrices are stored by rows.
+The filter's step over it: :mod:`wbmpc.bases.swerve.kalman_step`; mathematics and state: :mod:`wbmpc.bases.swerve.odometry_filter`. Matrices
+are stored by rows.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.bases.swerve.compilation import compiled, step
-from wbmpc.bases.swerve.slip_step import slip_intensity
-from wbmpc.bases.swerve.wheel_fit import Wheels, fit, move
+from wbmpc.bases.swerve.slip_step import Slip, slip_intensity
+from wbmpc.bases.swerve.wheel_fit import Wheels, fit
 from wbmpc.kernel.ir import Floats
 
 #: Time constant [s] of the derivatives of the twist by the wheels' corrections. Contradictions of the wheels are added up over pieces of
@@ -28,9 +29,11 @@ SLIDES, AVERAGED, BRIEF = 0.05, 0.1, 0.5
 #: Standard deviation of the base's velocity then, as a share of the contradiction: by the wheels, and with an inertial unit's velocity. Of
 #: its turn where a gyro contradicts them it is all of it: the base may be held, or the gyro be stuck.
 UNSURE, COASTS = 0.7, 0.15
-#: Wheels that turn otherwise than the gyro by so many standard deviations, averaged over AVERAGED, turn no base, nor until BRIEF after it.
+#: Wheels that turn otherwise than the gyro by so many standard deviations, averaged over AVERAGED, teach nothing. A wheel of 0.1 m that rolls
+#: over a cable of 10 mm goes farther than the base by this share of its way: where wheels go otherwise by less, and by less than SLIDES, and not
+#: for longer than BRIEF, they are on bumps and slip there. Else they turn no base, nor until BRIEF after it.
 #: Standard deviations of a turn [rad/s] by creep of tires, and by wheels that turn no base.
-OTHERWISE, CREEP, UNKNOWN_TURN = 4.0, 1.5e-3, 1.0
+OTHERWISE, BUMPS, CREEP, UNKNOWN_TURN = 4.0, 0.1, 1.5e-3, 1.0
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
 BIAS, LATE, WHEELS = 3, 4, 5
 
@@ -59,7 +62,8 @@ class Interval(IntEnum):
     LOST = 4  # variance [m²] that wheels which slide add to each component of the pose for each second that their error has lasted
     LOST_TURN = 5  # and [rad²] to the yaw, where no gyro sees it or wheels contradict it
     SLIDING = 6  # for how long [s] wheels have slid
-    SIZE = 7
+    FREEZES = 7  # 1 where wheels and gyro contradict each other: the gyro shows neither its bias nor zeros and radii
+    SIZE = 8
 
 
 class Way(IntEnum):
@@ -76,7 +80,8 @@ class Otherwise(IntEnum):
     OFF = 0  # rate [rad/s] of the gyro less that of the wheels, averaged
     REMAINING = 1  # for how long [s] wheels still turn no base
     LOST = 2  # what the contradiction may have turned the base in the interval: its variance [rad²/s], for each second that it has lasted
-    SIZE = 3
+    LASTED = 3  # for how long [s] they have contradicted each other
+    SIZE = 4
 
 
 class Odometry(NamedTuple):
@@ -190,31 +195,57 @@ def turn_variance(w: Wheels, o: Odometry, h: float, rate: float) -> float:
 
 
 @compiled
+def turns_no_base(w: Wheels, o: Odometry, h: float, more: float) -> bool:
+    """Whether wheels say so that turned by ``more`` [rad] less than the gyro. Where they contradict it by more than either is uncertain it is
+    no error of radii, zeros or bias, which last: what is known of them freezes from the first moment on. But a contradiction that is small
+    against the wheels' speed, and brief, is one of wheels on bumps, whose turn counts as far as it is certain."""
+    otherwise, square = o.otherwise, 0.0
+    otherwise[Otherwise.OFF] += (1.0 - np.exp(-h / AVERAGED)) * (more / h - otherwise[Otherwise.OFF])
+    off = otherwise[Otherwise.OFF]
+    if off**2 <= OTHERWISE**2 * turn_variance(w, o, h, (w.twist[2] + more) / h):
+        otherwise[Otherwise.LASTED] = 0.0
+        return False
+    o.interval[Interval.FREEZES] = 1.0
+    otherwise[Otherwise.LASTED] += h
+    mx, my = middle(w)
+    for i in range(w.n):
+        square += ((w.axes[2 * i] - mx) ** 2 + (w.axes[2 * i + 1] - my) ** 2) / w.n
+    bumps = off**2 * square < min(BUMPS * o.slip[Slip.SPEED], SLIDES) ** 2 and otherwise[Otherwise.LASTED] < BRIEF
+    return not bumps or otherwise[Otherwise.REMAINING] > 0.0
+
+
+@compiled
 def follow_gyro(w: Wheels, o: Odometry, h: float) -> None:
-    """Where the wheels turn otherwise than the gyro, by more than either is uncertain, as on blocks or where something holds the base: the
+    """Where the wheels turn otherwise than the gyro, by more than they do on bumps, as on blocks or where something holds the base: the
     turn is the gyro's, about the middle of the wheels, and shows neither radii nor bias. All of it is in the interval, for a replay."""
     interval, otherwise, twist = o.interval, o.otherwise, w.twist
     otherwise[Otherwise.REMAINING], otherwise[Otherwise.LOST] = max(otherwise[Otherwise.REMAINING] - h, 0.0), 0.0
+    interval[Interval.FREEZES] = 0.0
     if interval[Interval.HAS_GYRO] == 0.0:
         return
-    turn = interval[Interval.TURN] - o.mean[BIAS] * h
-    more = turn - twist[2]
-    otherwise[Otherwise.OFF] += (1.0 - np.exp(-h / AVERAGED)) * (more / h - otherwise[Otherwise.OFF])
-    if otherwise[Otherwise.OFF] ** 2 > OTHERWISE**2 * turn_variance(w, o, h, turn / h):
+    more = interval[Interval.TURN] - o.mean[BIAS] * h - twist[2]
+    if turns_no_base(w, o, h, more):
         if otherwise[Otherwise.REMAINING] == 0.0:  # what it has turned by now, averaged
-            otherwise[Otherwise.LOST] = otherwise[Otherwise.OFF] ** 2 * AVERAGED
+            since = max(otherwise[Otherwise.LASTED], AVERAGED)
+            otherwise[Otherwise.LOST] = (otherwise[Otherwise.OFF] * since) ** 2 / AVERAGED
         otherwise[Otherwise.REMAINING] = BRIEF
-    if otherwise[Otherwise.REMAINING] == 0.0:
+    held = otherwise[Otherwise.REMAINING] > 0.0
+    if not held and interval[Interval.FREEZES] == 0.0:
         return
-    if otherwise[Otherwise.LOST] == 0.0:
-        otherwise[Otherwise.LOST] = 2.0 * max(otherwise[Otherwise.OFF] * more, 0.0)
+    # an error of a rate that lasts is, over longer, noise of this variance
+    variance = (UNKNOWN_TURN * h) ** 2 if held else 2.0 * otherwise[Otherwise.OFF] ** 2 * AVERAGED * h
     mx, my = middle(w)
     by = o.cross  # scratch
     by[0], by[1], by[2] = my, -mx, 1.0
     for row in range(3):
-        twist[row] += more * by[row]
         for k in range(3):
-            o.covariance[3 * row + k] += (UNKNOWN_TURN * h) ** 2 * by[row] * by[k]
+            o.covariance[3 * row + k] += variance * by[row] * by[k]
+    if not held:
+        return
+    if otherwise[Otherwise.LOST] == 0.0:
+        otherwise[Otherwise.LOST] = 2.0 * max(otherwise[Otherwise.OFF] * more, 0.0)
+    for row in range(3):
+        twist[row] += more * by[row]
     for j in range(6 * w.n):
         o.by_wheels[j] = 0.0
 
@@ -294,107 +325,3 @@ def measure(w: Wheels, o: Odometry, h: float, turn: float, has_gyro: bool) -> No
     follow_gyro(w, o, h)
     coast(w, o, h)
     slide(w, o, h, more)
-
-
-@compiled
-def drive(w: Wheels, o: Odometry) -> None:
-    """Move the pose of ``mean`` by the twist that the wheels give as they are believed to be by now. ``pose`` (12) becomes the
-    derivative (3, 3) of the move by the twist, then (3) the move, and last (3) the twist."""
-    n, mean, by_wheels, pose = w.n, o.mean, o.by_wheels, o.pose
-    dx, dy, dyaw = w.twist[0], w.twist[1], w.twist[2]
-    for j in range(2 * n):
-        known = mean[WHEELS + j] - w.correction[j]
-        dx += by_wheels[j] * known
-        dy += by_wheels[2 * n + j] * known
-        dyaw += by_wheels[4 * n + j] * known
-    yaw = mean[2] + 0.5 * dyaw
-    x, y = move(mean, dx, dy, dyaw)
-    pose[0], pose[1], pose[2] = np.cos(yaw), -np.sin(yaw), -0.5 * y
-    pose[3], pose[4], pose[5] = np.sin(yaw), np.cos(yaw), 0.5 * x
-    pose[6], pose[7], pose[8] = 0.0, 0.0, 1.0
-    pose[9], pose[10], pose[11] = x, y, dyaw
-
-
-@compiled
-def move_row(n: int, p: Floats, first: int, stride: int, x: float, y: float, by: Floats) -> None:
-    """One column (``stride`` = size) or row (``stride`` = 1) of the covariance, from ``first`` on, times the derivative of the state
-    by the one before: 1, but for the pose, which turns and depends on the wheels (``by``, (3, 2n)), and for lateness, which ends."""
-    a, b = p[first] - y * p[first + 2 * stride], p[first + stride] + x * p[first + 2 * stride]
-    c = p[first + 2 * stride]
-    for j in range(2 * n):
-        wheel = p[first + (WHEELS + j) * stride]
-        a += by[j] * wheel
-        b += by[2 * n + j] * wheel
-        c += by[4 * n + j] * wheel
-    p[first], p[first + stride], p[first + 2 * stride], p[first + LATE * stride] = a, b, c, 0.0
-
-
-@compiled
-def lose(o: Odometry, size: int) -> None:
-    """What wheels that slide add to the covariance of the pose in the interval: the more, the longer their error has moved it. What
-    contradicts a gyro has done so for as long as it was averaged when it is found."""
-    p, interval, lasted = o.p, o.interval, o.lasted
-    if interval[Interval.LOST] > 0.0:
-        lasted[0] += interval[Interval.H]
-    lasted[0] = min(lasted[0], interval[Interval.SLIDING])
-    p[0] += interval[Interval.LOST] * lasted[0]
-    p[size + 1] += interval[Interval.LOST] * lasted[0]
-    p[2 * size + 2] += interval[Interval.LOST_TURN] * max(lasted[0], AVERAGED * interval[Interval.HAS_GYRO])
-
-
-@step
-def advance(w: Wheels, o: Odometry) -> None:
-    """One interval on: the wheels' twist moves the pose, the gyro's turn corrects it and everything behind it."""
-    n, mean, p, interval, by_wheels = w.n, o.mean, o.p, o.interval, o.by_wheels
-    covariance, noise, pose, by, spread, cross = o.covariance, o.noise, o.pose, o.by, o.spread, o.cross
-    size, m, h = WHEELS + 2 * n, 2 * n, interval[Interval.H]
-    bias, late_before = mean[BIAS], mean[LATE]
-    drive(w, o)
-    x, y, dyaw = pose[9], pose[10], pose[11]
-    for row in range(3):
-        for j in range(m):
-            total = 0.0
-            for k in range(3):
-                total += pose[3 * row + k] * by_wheels[k * m + j]
-            by[row * m + j] = total
-        for j in range(3):
-            total = 0.0
-            for k in range(3):
-                total += pose[3 * row + k] * covariance[3 * k + j]
-            spread[3 * row + j] = total
-    has_gyro = interval[Interval.HAS_GYRO] > 0.0
-    rate = interval[Interval.TURN] / h - bias if has_gyro else dyaw / h
-    late, behind = (rate * noise[Noise.AGE]) ** 2 + interval[Interval.COUNTS], rate * noise[Noise.MEAN_AGE]
-    variance = 0.0
-    if has_gyro:
-        # what the gyro says less what it should: its bias and noise, the wheels' turn, lateness before and now
-        for i in range(size):
-            total = h * p[i * size + BIAS] + p[i * size + LATE]
-            for j in range(m):
-                total += p[i * size + WHEELS + j] * by_wheels[4 * n + j]
-            cross[i] = total
-        variance = h * cross[BIAS] + cross[LATE] + covariance[8] + late + noise[Noise.GYRO] ** 2 * h
-        for j in range(m):
-            variance += by_wheels[4 * n + j] * cross[WHEELS + j]
-        move_row(n, cross, 0, 1, x, y, by)
-        for row in range(3):
-            cross[row] += spread[3 * row + 2]
-        cross[LATE] = -late
-    for i in range(size):
-        move_row(n, p, i, size, x, y, by)
-    for i in range(size):
-        move_row(n, p, i * size, 1, x, y, by)
-    for row in range(3):
-        for j in range(3):
-            for k in range(3):
-                p[row * size + j] += spread[3 * row + k] * pose[3 * j + k]
-    lose(o, size)
-    p[BIAS * size + BIAS] += noise[Noise.GYRO_WALK] ** 2 * h
-    p[LATE * size + LATE], mean[LATE] = late, -behind
-    if has_gyro:
-        wrong = interval[Interval.TURN] - bias * h - late_before - behind - dyaw
-        for i in range(size):
-            gain = cross[i] / variance
-            mean[i] += gain * wrong
-            for j in range(size):
-                p[i * size + j] -= gain * cross[j]
