@@ -13,10 +13,15 @@ from wbmpc.bases.swerve.controller import SwerveController
 from wbmpc.bases.swerve.fused_odometry import FusedOdometry
 from wbmpc.bases.swerve.messages import SwerveCommand
 from wbmpc.bases.swerve.plant import SwervePlant
+from wbmpc.bases.swerve.wheel_calibration import WheelCalibration
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 
 PERIOD, RATE = 0.0025, 0.5
+#: Speed [m/s] of a base on a tour; yaw rates [rad/s] of one that goes straight ahead, and of its wheels while they slip on bumps.
+TOUR, STRAIGHT, BUMP = 0.36, 1e-6, 0.03
+#: Standard deviation [rad, and relative] of zeros and radii after a calibration.
+KNOWN = 3e-4
 FOUR = ring(4)
 #: Of wheels that are not around the base's origin: a turn of theirs moves it.
 BESIDE = ring(4)
@@ -105,28 +110,59 @@ def test_a_gyro_that_is_stuck_is_found_by_global_poses(
     assert base.wrong_radii() < 3e-3
 
 
-def test_a_late_global_pose_decides_as_it_was_decided_in_time() -> None:
+def on_bumps(seconds: float, times: int) -> Turning:
+    """A base that goes straight ahead, in which its gyro is right, and whose wheels, which are known, slip on bumps: each time for so
+    long [s]."""
+    known = WheelCalibration(np.zeros(4), np.zeros(4), np.full(4, FOUR.wheel_radius), KNOWN**2 * np.eye(8))
+    base = Turning(FusedOdometry(FOUR, calibration=known), TOUR)
+    base.go(5.0, 0.0, 0.0)
+    base.go(3.0, STRAIGHT, 0.0)
+    for k in range(times):
+        base.go(seconds, BUMP * (-1.0) ** k, 0.0)
+        base.go(0.7, STRAIGHT, 0.0)
+    return base
+
+
+def test_brief_slip_on_bumps_teaches_nothing_and_holds_no_base() -> None:
+    """Truth: it goes straight. Nothing is learned of it, as by a base without bumps, and the stated deviation does not grow by it."""
+    smooth, bumps = on_bumps(0.0, 8), on_bumps(0.3, 8)
+    assert bumps.wrong_radii() < smooth.wrong_radii() + 1e-4
+    assert abs(bumps.odometry.gyro_bias - smooth.odometry.gyro_bias) < 1e-4
+    aside, std = bumps.odometry.pose[1:], np.sqrt(np.diag(bumps.odometry.covariance))[1:]
+    assert np.all(np.abs(aside) < 3.0 * std) and np.all(std < [4e-3, 2e-3])
+
+
+def test_what_lasts_longer_than_a_bump_may_be_a_base_that_is_held() -> None:
+    """By hand, the deviation: all of the contradiction, from its beginning on."""
+    base = on_bumps(6.0, 1)
+    np.testing.assert_allclose(np.sqrt(base.odometry.covariance[2, 2]), 6.0 * BUMP, rtol=0.15)
+    assert abs(base.odometry.pose[2]) < 5e-3 and base.wrong_radii() < 1e-3
+
+
+@pytest.mark.parametrize(("speed", "before", "after"), [(0.0, RATE, RATE), (TOUR, STRAIGHT, BUMP)])
+def test_a_late_global_pose_decides_as_it_was_decided_in_time(speed: float, before: float, after: float) -> None:
     """Truth: the same pose taken at once. Replayed intervals are of both kinds."""
-    late, at_once = Turning(FusedOdometry(FOUR)), Turning(FusedOdometry(FOUR))
+    late, at_once = Turning(FusedOdometry(FOUR), speed), Turning(FusedOdometry(FOUR), speed)
     for base in (late, at_once):
         base.go(2.0, 0.0, 0.0)
-        base.go(1.0, RATE, 0.0)
+        base.go(1.0, before, 0.0)
     then, pose, covariance = at_once.t, at_once.odometry.pose, 1e-4 * np.eye(3)
     assert at_once.odometry.correct(then, pose, covariance)
     for base in (late, at_once):
-        base.go(0.4, RATE, 0.0)
+        base.go(0.4, after, 0.0)
     assert late.odometry.correct(then, pose, covariance)
     np.testing.assert_allclose(late.odometry.pose, at_once.odometry.pose, atol=1e-6)
     np.testing.assert_allclose(late.odometry.covariance, at_once.odometry.covariance, rtol=1e-3, atol=1e-9)
     assert late.wrong_radii() < 1e-3
 
 
-def test_both_back_ends_say_the_same_of_it() -> None:
-    both = [Turning(made(back_end, FusedOdometry, FOUR)) for back_end in ("compiled", "interpreted")]
+@pytest.mark.parametrize(("speed", "rate"), [(0.0, RATE), (TOUR, BUMP)])
+def test_both_back_ends_say_the_same_of_it(speed: float, rate: float) -> None:
+    both = [Turning(made(back_end, FusedOdometry, FOUR), speed) for back_end in ("compiled", "interpreted")]
     for base in both:
         base.go(0.1, 0.0, 0.0)
-        base.go(0.7, RATE, 0.0)
-        base.go(0.1, RATE, RATE)
+        base.go(0.7, rate, 0.0)
+        base.go(0.1, rate, rate)
     a, b = (base.odometry._state for base in both)
     np.testing.assert_allclose(a.mean, b.mean, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(a.p, b.p, rtol=1e-11, atol=1e-14)

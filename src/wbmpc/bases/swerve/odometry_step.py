@@ -217,7 +217,8 @@ def turns_no_base(w: Wheels, o: Odometry, h: float, more: float) -> bool:
 @compiled
 def follow_gyro(w: Wheels, o: Odometry, h: float) -> None:
     """Where the wheels turn otherwise than the gyro, by more than they do on bumps, as on blocks or where something holds the base: the
-    turn is the gyro's, about the middle of the wheels, and shows neither radii nor bias. All of it is in the interval, for a replay."""
+    turn is the gyro's, about the middle of the wheels, and shows neither radii nor bias. All of it is in the interval, for a replay. Wheels
+    that roll straight ahead on blocks contradict no gyro, and gently started no accelerometer: nothing shows that the base stands."""
     interval, otherwise, twist = o.interval, o.otherwise, w.twist
     otherwise[Otherwise.REMAINING], otherwise[Otherwise.LOST] = max(otherwise[Otherwise.REMAINING] - h, 0.0), 0.0
     interval[Interval.FREEZES] = 0.0
