@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.bases.swerve.compilation import compiled, step
-from wbmpc.bases.swerve.slip_step import Slip, slip_intensity
+from wbmpc.bases.swerve.slip_step import slip_intensity
 from wbmpc.bases.swerve.wheel_fit import Wheels, fit
 from wbmpc.kernel.ir import Floats
 
@@ -29,11 +29,11 @@ SLIDES, AVERAGED, BRIEF = 0.05, 0.1, 0.5
 #: Standard deviation of the base's velocity then, as a share of the contradiction: by the wheels, and with an inertial unit's velocity. Of
 #: its turn where a gyro contradicts them it is all of it: the base may be held, or the gyro be stuck.
 UNSURE, COASTS = 0.7, 0.15
-#: Wheels that turn otherwise than the gyro by so many standard deviations, averaged over AVERAGED, teach nothing. A wheel of 0.1 m that rolls
-#: over a cable of 10 mm goes farther than the base by this share of its way: where wheels go otherwise by less, and by less than SLIDES, and not
-#: for longer than BRIEF, they are on bumps and slip there. Else they turn no base, nor until BRIEF after it.
+#: Wheels that turn otherwise than the gyro by so many standard deviations, averaged over AVERAGED, teach nothing, nor until BRIEF after it.
+#: Below this [m/s] at the wheels (a wheel of 0.1 m on a cable of 10 mm is faster than its base by a tenth, at 0.36 m/s by as much; four
+#: standard deviations are a quarter of it), and for less than BRIEF, they slip on bumps. Else they turn no base, nor until BRIEF after it.
 #: Standard deviations of a turn [rad/s] by creep of tires, and by wheels that turn no base.
-OTHERWISE, BUMPS, CREEP, UNKNOWN_TURN = 4.0, 0.1, 1.5e-3, 1.0
+OTHERWISE, SLIPS, CREEP, UNKNOWN_TURN = 4.0, 0.036, 1.5e-3, 1.0
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
 BIAS, LATE, WHEELS = 3, 4, 5
 
@@ -81,7 +81,8 @@ class Otherwise(IntEnum):
     REMAINING = 1  # for how long [s] wheels still turn no base
     LOST = 2  # what the contradiction may have turned the base in the interval: its variance [rad²/s], for each second that it has lasted
     LASTED = 3  # for how long [s] they have contradicted each other
-    SIZE = 4
+    SLIPPING = 4  # for how long [s] what is learned is still frozen
+    SIZE = 5
 
 
 class Odometry(NamedTuple):
@@ -197,20 +198,21 @@ def turn_variance(w: Wheels, o: Odometry, h: float, rate: float) -> float:
 @compiled
 def turns_no_base(w: Wheels, o: Odometry, h: float, more: float) -> bool:
     """Whether wheels say so that turned by ``more`` [rad] less than the gyro. Where they contradict it by more than either is uncertain it is
-    no error of radii, zeros or bias, which last: what is known of them freezes from the first moment on. But a contradiction that is small
-    against the wheels' speed, and brief, is one of wheels on bumps, whose turn counts as far as it is certain."""
-    otherwise, square = o.otherwise, 0.0
+    no error of radii, zeros or bias, which last: what is known of them freezes from the first moment on until BRIEF after it. But a
+    contradiction that is small and brief is one of wheels on bumps, whose turn counts as far as it is certain."""
+    otherwise, interval, square = o.otherwise, o.interval, 0.0
     otherwise[Otherwise.OFF] += (1.0 - np.exp(-h / AVERAGED)) * (more / h - otherwise[Otherwise.OFF])
     off = otherwise[Otherwise.OFF]
-    if off**2 <= OTHERWISE**2 * turn_variance(w, o, h, (w.twist[2] + more) / h):
-        otherwise[Otherwise.LASTED] = 0.0
+    contradicts = off**2 > OTHERWISE**2 * turn_variance(w, o, h, (w.twist[2] + more) / h)
+    otherwise[Otherwise.SLIPPING] = BRIEF if contradicts else max(otherwise[Otherwise.SLIPPING] - h, 0.0)
+    otherwise[Otherwise.LASTED] = otherwise[Otherwise.LASTED] + h if contradicts else 0.0
+    interval[Interval.FREEZES] = float(otherwise[Otherwise.SLIPPING] > 0.0)
+    if not contradicts:
         return False
-    o.interval[Interval.FREEZES] = 1.0
-    otherwise[Otherwise.LASTED] += h
     mx, my = middle(w)
     for i in range(w.n):
         square += ((w.axes[2 * i] - mx) ** 2 + (w.axes[2 * i + 1] - my) ** 2) / w.n
-    bumps = off**2 * square < min(BUMPS * o.slip[Slip.SPEED], SLIDES) ** 2 and otherwise[Otherwise.LASTED] < BRIEF
+    bumps = off**2 * square < SLIPS**2 and otherwise[Otherwise.LASTED] < BRIEF
     return not bumps or otherwise[Otherwise.REMAINING] > 0.0
 
 
