@@ -402,7 +402,7 @@ def test_a_library_of_another_package_is_built_again_when_its_source_changes(
 def test_the_driver_is_whole_whichever_function_comes_first() -> None:
     """In a fresh process that has imported one module of it only."""
     program = (
-        "from wbmpc.solver.inequality_algebra import log_of_product\n"
+        "from wbmpc.solver.inequality_algebra import merits\n"
         "from wbmpc.solver.compilation import LIBRARY\n"
         "assert LIBRARY.address('receding_receding_solve.entry') > 0"
     )

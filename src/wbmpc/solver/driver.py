@@ -12,6 +12,7 @@ from wbmpc.solver.inequalities import (
     row_residual_at_iterate,
     rows_step,
     start_rows,
+    start_rows_later,
     take_rows,
 )
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
@@ -62,7 +63,10 @@ def start_rows_of_solve(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
             misfit = max(misfit, abs(x0[i] - m[o[X] + i]))
     m[state + StateField.CONVERGED] = 0.0
     if not misfit < s[Setting.MIN_SLACK]:
-        start_rows(m, o, s[Setting.MIN_SLACK], real_time, s[Setting.KEEP_SLACKS] > 0.0)
+        if s[Setting.SINGLE_SHOOTING] > 0.0:
+            start_rows(m, o, s[Setting.MIN_SLACK], real_time, s[Setting.KEEP_SLACKS] > 0.0)
+        else:
+            start_rows_later(m, o, s[Setting.MIN_SLACK], real_time, s[Setting.KEEP_SLACKS] > 0.0)
         return
     slack = max(misfit, floor)
     m[state + StateField.BARRIER] = min(s[Setting.INITIAL_BARRIER], slack * slack)
@@ -93,6 +97,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
         m[state + StateField.ROW_COST],
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
+    m[state + StateField.START] = 0.0
     m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS] = 0.0, 0.0
     start_adaptive(m, state)
     forget_errors(m, o)
@@ -120,6 +125,7 @@ def direction(
     state, compute_kkt = o[STATE], s[Setting.COMPUTE_KKT] > 0.0
     m[state + StateField.DIRECTIONS] += 1.0
     cost, gaps, equalities, violation = backward(m, o, compute_kkt)
+    m[state + StateField.START] = 0.0
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])
     violation += gaps + equalities

@@ -6,8 +6,10 @@ import numpy as np
 
 from wbmpc.solver.barriers import INTERVAL, add_square
 from wbmpc.solver.compilation import LANES, Floats, Integers, call2, call3, call4, call5, call6, compiled
-from wbmpc.solver.inequality_algebra import log_of_product, merits, weights
+from wbmpc.solver.inequality_algebra import merits, weights
 from wbmpc.solver.inequality_table import (
+    HARD,
+    ROUNDING,
     eight_rows,
     entry,
     node_rows,
@@ -74,6 +76,9 @@ from wbmpc.solver.memory_layout import (
 )
 from wbmpc.solver.stages import row_index, stage_end
 
+#: How rows start: anew, with the multipliers that there are, with slacks, too.
+FRESH, KEEP_MULTIPLIERS, KEEP_SLACKS = 1.0, 2.0, 3.0
+
 
 @compiled
 def box_value(m: Floats, o: Integers, r: int, x: int, u: int) -> float:
@@ -122,9 +127,8 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
         return 0.0, 0.0
     offset, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
     collect_values(m, o, k, x, u, values)
-    if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0:
-        record_violations(m, o, k)
-    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    zero, product = np.full(LANES, 0.0), np.full(LANES, 1.0)
+    cost, violation, logs, outside = zero, zero, zero, zero
     for j in range(0, boxes + general, LANES):
         q, at = offset + j, values + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
@@ -133,12 +137,43 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
         s = m[o[ROW_S] + q : o[ROW_S] + q + LANES] + alpha * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
         c, v, factor = merits(kind, h, t, l, s, penalty)
         cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
-        product = product * np.where(active, factor, 1.0)
+        outside, product = np.maximum(outside, -h), product * np.where(active, factor, 1.0)
         if not np.all((product > 1e-200) & (product < 1e200)):
-            logs += log_of_product(m, o, product)
+            logs = logs + np.log(product)
             product = np.full(LANES, 1.0)
-    logs += log_of_product(m, o, product)
-    return np.sum(cost) - mu * logs, np.sum(violation)
+    if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0 and np.max(outside) > ROUNDING:
+        record_violations(m, o, k)
+    logs = logs + np.log(product)
+    return np.sum(cost - mu * logs), np.sum(violation)
+
+
+@compiled
+def start_node(m: Floats, o: Integers, k: int, values: int, min_slack: float, how: float) -> None:
+    """Slacks and multipliers of node k's rows, which have the ``values``; see :func:`wbmpc.solver.inequalities.start_rows`."""
+    first, boxes, general = node_rows(o, k)
+    mu = m[o[STATE] + StateField.BARRIER]
+    kept = np.inf if how > FRESH else -1.0  # multipliers below it are kept
+    slacks_kept = np.inf if how > KEEP_MULTIPLIERS else -1.0
+    for j in range(0, boxes + general, LANES):
+        q, at = k * o[ROWS] + j, values + j
+        kind, penalty, _ = eight_rows(m, o, first + j, k)
+        h, closed, hard = m[at : at + LANES], penalty < np.inf, kind == HARD
+        t_old, l_old = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]
+        s_old, y_old = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
+        t = np.where(h > min_slack, h, min_slack)  # also for a NaN
+        l = np.where((l_old > 0.0) & (l_old < kept), l_old, mu / t)  # noqa: E741
+        l = np.minimum(np.maximum(l, 1e-12), np.where(closed, 0.99 * penalty, np.inf))  # noqa: E741
+        y = penalty - l
+        s = np.where(closed, np.maximum(t - h, mu / y), 0.0)
+        stay = (t_old > 0.0) & (abs(l_old) < slacks_kept)
+        other = np.where(abs(l_old) < kept, l_old, 0.0)
+        l = np.where(hard, np.where(stay, l_old, l), other)  # noqa: E741
+        t, s = np.where(hard, np.where(stay, t_old, t), t_old), np.where(hard, np.where(stay, s_old, s), s_old)
+        y = np.where(hard, np.where(stay, y_old, y), y_old)
+        m[o[ROW_T] + q : o[ROW_T] + q + LANES] = t
+        m[o[ROW_L] + q : o[ROW_L] + q + LANES] = l
+        m[o[ROW_S] + q : o[ROW_S] + q + LANES] = s
+        m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] = y
 
 
 @compiled
@@ -176,8 +211,11 @@ def weigh_rows(m: Floats, o: Integers, k: int) -> tuple[float, float]:
     """σ and e of node k's rows, whose values are there: w times (cost, violation)."""
     first, boxes, general = node_rows(o, k)
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-    mu, offset = m[o[STATE] + StateField.BARRIER], k * o[ROWS]
-    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    mu, offset, how = m[o[STATE] + StateField.BARRIER], k * o[ROWS], m[o[STATE] + StateField.START]
+    if how > 0.0:
+        start_node(m, o, k, o[ROW_H] + offset, m[o[STATE] + StateField.START_SLACK], how)
+    zero, product = np.full(LANES, 0.0), np.full(LANES, 1.0)
+    cost, violation, logs = zero, zero, zero
     for j in range(0, boxes + general, LANES):
         q = offset + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
@@ -190,10 +228,10 @@ def weigh_rows(m: Floats, o: Integers, k: int) -> tuple[float, float]:
         cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
         product = product * np.where(active, factor, 1.0)
         if not np.all((product > 1e-200) & (product < 1e200)):
-            logs += log_of_product(m, o, product)
+            logs = logs + np.log(product)
             product = np.full(LANES, 1.0)
-    logs += log_of_product(m, o, product)
-    return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
+    logs = logs + np.log(product)
+    return w * np.sum(cost - mu * logs), w * np.sum(violation)
 
 
 @compiled

@@ -118,7 +118,6 @@ BLOCKS = (
     "adjoint",  # (4, lx): costate, its two multiples, spare
     "pulled",  # (lz + 24,): Jᵀ σ J δz of one node; scratch of the forward pass
     "row_trial",  # (rows,): values at a trial point of one node
-    "lanes",  # (8,)
     "multiplier",  # (equalities,)
     "signed",  # (general rows,): their multipliers with the sign of the Lagrangian; scratch of the KKT residual
     "normal",  # (equalities, equalities)
@@ -292,7 +291,6 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "adjoint": (4, s.lx),
         "pulled": (s.lz + 3 * LANES,),
         "row_trial": (rows,),
-        "lanes": (8,),
         "multiplier": (max(s.ng, 1),),
         "signed": (max(s.nr, s.ne, 1),),
         "normal": (max(s.ng, 1), max(s.ng, 1)),
