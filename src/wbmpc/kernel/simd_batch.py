@@ -135,7 +135,8 @@ class _Lanes(Emitter):
     def emit(self) -> str:
         text = super().emit()
         tables = []
-        for r, found in self.constants.items():
+        for r, unordered in self.constants.items():
+            found = sorted(unordered, key=lambda one: one[1])
             numbers, places = (
                 ", ".join(p) for p in zip(*((f"double {c}", f"i64 {LANES * at}") for c, at in found), strict=True)
             )
