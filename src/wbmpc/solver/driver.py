@@ -72,7 +72,7 @@ def start_rows_of_solve(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     m[state + StateField.BARRIER] = min(s[Setting.INITIAL_BARRIER], slack * slack)
     start_rows(m, o, slack, True, False)
     limit_products(m, o, s[Setting.INITIAL_BARRIER])
-    mean, _ = take_rows(m, o, 0.0, 0.0, False)
+    mean, _ = take_rows(m, o, 0.0, 0.0, False, True)
     m[state + StateField.BARRIER] = min(s[Setting.INITIAL_BARRIER], max(mean, s[Setting.BARRIER]))
 
 
@@ -176,11 +176,12 @@ def settle_rows(
     )
     # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
     solved = not compute_kkt or kkt <= max(s[Setting.TOLERANCE], 0.1 * residual)
-    mean, smallest = take_rows(m, o, alpha, m[state + StateField.MAX_DUAL_STEP], solved)
+    adapts = compute_kkt and s[Setting.KEEP_MULTIPLIERS] == 0.0
+    mean, smallest = take_rows(m, o, alpha, m[state + StateField.MAX_DUAL_STEP], solved, adapts)
     feasible = violation <= s[Setting.FEASIBILITY] and residual <= s[Setting.FEASIBILITY]
     error = 0.0 if feasible else max(violation, residual)
     after = next_mu(mu, level, max(kkt, error) if compute_kkt else 0.0, product)
-    adapts = compute_kkt and s[Setting.KEEP_MULTIPLIERS] == 0.0 and mean > 0.0
+    adapts = adapts and mean > 0.0
     if adapts:
         errors = (max(max(kkt, violation), max(residual, product)), max(kkt, error))
         after = min(

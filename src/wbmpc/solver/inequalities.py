@@ -130,9 +130,9 @@ def rows_step(m: Floats, o: Integers, tau: float) -> float:
 
 
 @compiled
-def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) -> tuple[float, float]:
+def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool, products: bool) -> tuple[float, float]:
     """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``. Returns (mean, smallest)
-    of the products of slacks and multipliers; (0, 0) without any."""
+    of the ``products`` of slacks and multipliers, where they are asked for; (0, 0) without any."""
     moved = primal if solved else 0.0
     total, count, smallest = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, np.inf)
     for k in range(o[N] + 1):
@@ -146,6 +146,8 @@ def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) 
             m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] -= change
             m[o[ROW_T] + q : o[ROW_T] + q + LANES] += primal * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
             m[o[ROW_S] + q : o[ROW_S] + q + LANES] += primal * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
+            if not products:
+                continue
             _, penalty, active = eight_rows(m, o, first + j, k)
             hard = active & (kind == HARD)
             closed = hard & (penalty < np.inf)

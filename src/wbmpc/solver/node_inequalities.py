@@ -60,7 +60,6 @@ from wbmpc.solver.memory_layout import (
     ROW_PRODUCTS,
     ROW_S,
     ROW_T,
-    ROW_TRIAL,
     ROW_Y,
     ROWS,
     SIGNED,
@@ -110,6 +109,19 @@ def collect_values(m: Floats, o: Integers, k: int, x: int, u: int, out: int) -> 
 
 
 @compiled
+def values_of_block(m: Floats, o: Integers, first: int, count: int, at: tuple[int, int], out: int) -> None:
+    """h of ``count`` nodes' rows from node ``first`` on, one node after the other at ``out``: as :func:`collect_values`; ``at``: where the
+    trajectories are."""
+    boxes, base = o[ROW_BOXES], o[BASE]
+    x, u = at
+    if o[ROW_GENERAL] > 0:
+        call4(o[UNPACK_ROWS], base + 8 * o[LANE_VALUES], base + 8 * (out + boxes), 8 * o[ROWS], count - 1)
+    for k in range(first, first + count):
+        if boxes > 0:
+            evaluate_boxes(m, o, BOX_VALUES, x + k * o[NX], u + k * o[NU], out + (k - first) * o[ROWS])
+
+
+@compiled
 def end_values(m: Floats, o: Integers, x: int) -> None:
     """Values of the general rows of the end into ``small`` from entry 16 on."""
     if o[END_ROW_GENERAL] > 0:
@@ -118,15 +130,12 @@ def end_values(m: Floats, o: Integers, x: int) -> None:
 
 
 @compiled
-def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> tuple[float, float]:
-    """(cost, violation) of node k's rows at the point x, u with slacks a step of ``alpha`` further; not yet times w.
-
-    The values of its general rows are in ``small``."""
+def rows_merit(m: Floats, o: Integers, k: int, values: int, alpha: float) -> tuple[float, float]:
+    """(cost, violation) of node k's rows with the ``values``, and slacks a step of ``alpha`` further; not yet times w."""
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
-    offset, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
-    collect_values(m, o, k, x, u, values)
+    offset, mu = k * o[ROWS], m[o[STATE] + StateField.BARRIER]
     zero, product = np.full(LANES, 0.0), np.full(LANES, 1.0)
     cost, violation, logs, outside = zero, zero, zero, zero
     for j in range(0, boxes + general, LANES):
@@ -142,7 +151,7 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
             logs = logs + np.log(product)
             product = np.full(LANES, 1.0)
     if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0 and np.max(outside) > ROUNDING:
-        record_violations(m, o, k)
+        record_violations(m, o, k, values)
     logs = logs + np.log(product)
     return np.sum(cost - mu * logs), np.sum(violation)
 
@@ -242,10 +251,8 @@ def linearize_rows(m: Floats, o: Integers, first: int, count: int) -> tuple[floa
     if boxes + general == 0:
         return 0.0, 0.0
     at, stride, base = first * o[ROWS] + boxes, 8 * o[ROWS], o[BASE]
-    if general > 0:
-        call4(o[UNPACK_ROWS], base + 8 * o[LANE_VALUES], base + 8 * (o[ROW_H] + at), stride, count - 1)
+    values_of_block(m, o, first, count, (o[X], o[U]), o[ROW_H] + first * o[ROWS])
     for k in range(first, first + count):
-        evaluate_boxes(m, o, BOX_VALUES, o[X] + k * o[NX], o[U] + k * o[NU], o[ROW_H] + k * o[ROWS])
         c, v = weigh_rows(m, o, k)
         cost, violation = cost + c, violation + v
     if general > 0:
