@@ -56,4 +56,6 @@ def test_a_controller_does_what_python_does(tmp_path: Path, name: str) -> None:
         apart.append(np.abs(u - expected[1:]) / (1.0 + np.abs(expected[1:])))
     assert np.abs(u).max() > 0.0
     assert np.max(apart) <= checks.LARGEST and np.median(apart) <= checks.MEDIAN
-    assert controller.code.calls["log"]  # of the barrier: foreign functions are reached
+    # angles of joints reach foreign functions, the barrier's logarithms are the code's own
+    assert name == "trolley" or {"sin", "cos", "sincos"} & set(controller.code.calls)
+    assert "log" not in controller.code.calls

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import casadi as ca
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 import scipy.special
 
 from toys import call_lanes, call_scalar, compile_ir
 from wbmpc.errors import UnsupportedOperation
+from wbmpc.kernel.codegen_target import parsed
+from wbmpc.kernel.dense import FMA
+from wbmpc.kernel.object_file import largest_frame
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations, unsupported_operation
 from wbmpc.kernel.simd_batch import emit_lanes, helpers
 
@@ -161,6 +165,39 @@ def many(function: ca.Function, points: np.ndarray, width: int) -> np.ndarray:
     ir = emit_lanes(function, "f", width)
     engine = compile_ir("\n".join([DECLARATIONS, helpers(ir, width), ir]))
     return call_lanes(engine.get_function_address("f"), [points], [size])[0]
+
+
+@pytest.mark.parametrize("width", WIDTHS[1:])
+def test_constants_that_are_used_and_put_out(width: int) -> None:
+    """Constants of two results, some of them operands too, in the order of their places and out of it."""
+    x = ca.SX.sym("x", 2)
+    outputs = [ca.vertcat(0.3, 0.7 * x[0], -2.5, 0.3 * x[1], 0.7, ca.SX(0.0)), ca.vertcat(x[0] - 2.5, 0.3)]
+    function, places = ca.Function("f", [x], outputs), [[[5], [0], [4], [3], [1], [2]], [[0], [1]]]
+    points = np.random.default_rng(2).normal(size=(8, 2))
+    ir = emit_lanes(function, "f", width, places)
+    engine = compile_ir("\n".join([DECLARATIONS, helpers(ir, width), ir]))
+    first, second = call_lanes(engine.get_function_address("f"), [points], [6, 2])
+    for k, point in enumerate(points):
+        want = [np.array(out).ravel() for out in function(point)]
+        np.testing.assert_allclose(first[k][[at for (at,) in places[0]]], want[0], rtol=1e-15)
+        np.testing.assert_allclose(second[k], want[1], rtol=1e-15)
+
+
+def of_a_process(triple: str, cpu: str, features: str) -> llvm.TargetMachine:
+    """LLVM's machine for code that is loaded into this process, where addresses of constants are no part of an operation."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    return llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, opt=1, jit=True)
+
+
+def test_constants_do_not_wait_on_the_stack() -> None:
+    """Of a product with a matrix of 600 numbers, and its Jacobian. Truth: vectors of eight doubles that waited would take 38 kB."""
+    x = ca.SX.sym("x", 6)
+    y = ca.DM(np.random.default_rng(3).normal(size=(100, 6))) @ x
+    ir = emit_lanes(ca.Function("f", [x], [y, ca.jacobian(y, x)]), "f", 8)
+    machine = of_a_process("x86_64-unknown-linux-gnu", "skylake-avx512", "-prefer-256-bit")
+    text = "\n".join([DECLARATIONS, helpers(ir, 8), FMA, ir])
+    assert largest_frame(bytes(machine.emit_object(parsed(text)))) < 4096
 
 
 def test_unsupported_operation_is_named() -> None:

@@ -191,6 +191,25 @@ def test_eight_numbers_at_a_time(blocks: int, seed: int) -> None:
     np.testing.assert_allclose(a, b, rtol=1e-13)
 
 
+@compiled
+def logarithms(m: Floats, n: int) -> None:
+    for i in range(0, n, LANES):
+        m[i : i + LANES] = np.log(m[i : i + LANES])
+
+
+def test_logarithms_of_eight_numbers() -> None:
+    """Against the C library, to one unit in the last place, from the smallest number to the largest, near 1 and beyond all."""
+    rng = np.random.default_rng(0)
+    numbers = np.concatenate([10.0 ** rng.uniform(-323.0, 308.0, 4000), 1.0 + 1e-3 * rng.normal(size=4000)])
+    edges = np.array([0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 5e-324, 1.0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        want, at_edges = np.log(numbers), np.log(edges)
+    logarithms(numbers, numbers.size)
+    assert np.max(np.abs(numbers - want) / np.spacing(np.abs(want))) <= 1.0
+    logarithms(edges, edges.size)
+    np.testing.assert_allclose(edges, at_edges, rtol=1e-15)
+
+
 def _slice(m: Floats) -> Vector:
     return m[0:3]
 
@@ -402,7 +421,7 @@ def test_a_library_of_another_package_is_built_again_when_its_source_changes(
 def test_the_driver_is_whole_whichever_function_comes_first() -> None:
     """In a fresh process that has imported one module of it only."""
     program = (
-        "from wbmpc.solver.inequality_algebra import log_of_product\n"
+        "from wbmpc.solver.inequality_algebra import merits\n"
         "from wbmpc.solver.compilation import LIBRARY\n"
         "assert LIBRARY.address('receding_receding_solve.entry') > 0"
     )

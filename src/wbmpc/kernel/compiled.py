@@ -137,6 +137,15 @@ def lane_maps(maps: dict[str, OutputMap], groups: dict[str, list[int]]) -> dict[
     return out
 
 
+def by_rows(function: ca.Function, outputs: OutputMap) -> tuple[ca.Function, OutputMap]:
+    """A function's value and Jacobian, the latter row by row, and where they go: what a row has of its own is then computed and put out at
+    once, and does not wait on the stack for the columns that follow."""
+    inputs, pattern = function.sx_in(), function.sparsity_out(1)
+    value, jacobian = function(*inputs)
+    order = sorted(range(pattern.nnz()), key=pattern.row().__getitem__)
+    return ca.Function(function.name(), inputs, [value, jacobian.T]), [outputs[0], [outputs[1][i] for i in order]]
+
+
 def step_pattern(transcription: Transcription, jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
     """Where [A b B; 0 1 0] of a step (nx + 1, nz) can differ from zero: everywhere where a jump may follow, which mixes rows."""
     pattern = np.zeros((sizes.nx + 1, sizes.nz), dtype=bool)
@@ -183,7 +192,9 @@ def _emit_blocks(
     groups = matrix_groups(functions, maps, sizes)
     step = [r * sizes.lz + c for r, c in np.argwhere(step_pattern(transcription, jacobian, sizes)[: sizes.nx])]
     lanes = lane_maps(maps, groups)
-    evaluations = "\n".join(emit_lanes(functions[n], f"l_{n}", width, lanes[n], _SHARED) for n in _EIGHT)
+    made = {n: (functions[n], lanes[n]) for n in _EIGHT}
+    made["rows_jacobian"] = by_rows(*made["rows_jacobian"])
+    evaluations = "\n".join(emit_lanes(f, f"l_{n}", width, to, _SHARED) for n, (f, to) in made.items())
     own, found, stages = (
         extended_pattern(jacobian, sizes),
         _sensitivity(transcription, jacobian, sizes),

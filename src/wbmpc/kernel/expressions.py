@@ -302,6 +302,9 @@ class Expressions(Vectors):
         if value.kind == VEC and name == "sqrt":
             t = llvm_type(VEC)
             return Value(VEC, self.new(f"call {t} @llvm.sqrt.v{LANES}f64({t} {value.text})"))
+        if value.kind == VEC and name == "log":
+            t = llvm_type(VEC)
+            return Value(VEC, self.new(f"call {t} @vector_log({t} {value.text})"))
         value = self.convert(value, NUM, node)
         if name in _NUMPY:
             return Value(NUM, self.new(f"call double @{_NUMPY[name]}(double {value.text})"))

@@ -19,6 +19,7 @@ from wbmpc.errors import KernelError, SolverBusy
 from wbmpc.kernel import cache
 from wbmpc.kernel.ir import BOOL, DECLARATIONS, INTS, MASK, NONE, NUM, NUMS, VEC, Signature, llvm_type
 from wbmpc.kernel.translate import Translator
+from wbmpc.kernel.vector_log import emit_log
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -239,7 +240,8 @@ class Library:
         text = text.replace("\ndefine ", "\ndefine internal ").replace("define ", "define internal ", 1)
         entries = [_entry(f.signature) for f in self.functions if _callable(f.signature)]
         entries += [_table_entry(f.signature) for f in self.functions if f.stepped]
-        return "\n".join([DECLARATIONS, text, *entries])
+        helpers = [emit_log()] if "@vector_log(" in text else []
+        return "\n".join([DECLARATIONS, *helpers, text, *entries])
 
     def _key(self) -> str:
         from wbmpc.kernel.codegen_target import target_text

@@ -36,8 +36,11 @@ _NATIVE = {
 }  # fmt: skip
 
 
+_SPLAT = "splat (double "
+
+
 def _splat(value: float) -> str:
-    return f"splat (double {literal(value)})"
+    return f"{_SPLAT}{literal(value)})"
 
 
 class _Lanes(Emitter):
@@ -48,6 +51,8 @@ class _Lanes(Emitter):
         self.width, self.shared = width, shared
         self.number, self.bit = f"<{width} x double>", f"<{width} x i1>"
         self.angles: dict[str, tuple[str, str]] = {}
+        #: of every result the literals that are put out, and where
+        self.constants: dict[int, list[tuple[str, int]]] = {}
 
     def constant(self, value: float) -> str:
         return _splat(value)
@@ -63,6 +68,9 @@ class _Lanes(Emitter):
         )
 
     def put(self, value: str, result: int, offset: int) -> None:
+        if value.startswith(_SPLAT):
+            self.constants.setdefault(result, []).append((value[len(_SPLAT) : -1], offset))
+            return
         pointer = self.address(f"s{result}", LANES * offset)
         self.lines.append(f"store {self.number} {value}, ptr {pointer}, align {8 * self.width}")
 
@@ -87,13 +95,54 @@ class _Lanes(Emitter):
     def opening(self) -> list[str]:
         own = [("a", "b", i) for i in range(self.f.n_in()) if i not in self.shared]
         own += [("r", "s", i) for i in range(self.f.n_out())]
-        head = ["entry:", *self.pointers(), "br label %pass", "pass:"]
-        head.append("%lane = phi i64 [0, %entry], [%next, %pass]")
-        return head + [f"%{b}{i} = getelementptr double, ptr %{a}{i}, i64 %lane" for a, b, i in own]
+        head, lane = ["entry:", *self.pointers()], "0"
+        if self.width < LANES:  # in a loop of one pass the constants of all operations would wait on the stack
+            lane = "%lane"
+            head += ["br label %pass", "pass:", "%lane = phi i64 [0, %entry], [%next, %again]"]
+        return head + [f"%{b}{i} = getelementptr double, ptr %{a}{i}, i64 {lane}" for a, b, i in own]
 
     def closing(self) -> list[str]:
-        end = [f"%next = add i64 %lane, {self.width}", f"%done = icmp eq i64 %next, {LANES}"]
-        return [*end, "br i1 %done, label %out, label %pass", "out:", "ret i32 0", "}"]
+        lines, before = [], "entry" if self.width == LANES else "pass"
+        for result, found in self.constants.items():
+            lines += self._put_constants(result, len(found), before)
+            before = f"after{result}"
+        if self.width == LANES:
+            return [*lines, *super().closing()]
+        end = [f"%next = add i64 %lane, {self.width}", f"%done = icmp eq i64 %next, {LANES}", "br label %again"]
+        return [*lines, *end, "again:", "br i1 %done, label %out, label %pass", "out:", "ret i32 0", "}"]
+
+    def _put_constants(self, r: int, count: int, before: str) -> list[str]:
+        """A loop over the constants of a result: as operands of operations, too, they would wait on the stack until they are put out."""
+        t, w = self.number, self.width
+        return [
+            f"br label %put{r}",
+            f"put{r}:",
+            f"%i{r} = phi i64 [0, %{before}], [%j{r}, %put{r}]",
+            f"%pc{r} = getelementptr double, ptr @{self.name}.constants{r}, i64 %i{r}",
+            f"%c{r} = load double, ptr %pc{r}",
+            f"%pp{r} = getelementptr i64, ptr @{self.name}.places{r}, i64 %i{r}",
+            f"%place{r} = load i64, ptr %pp{r}",
+            f"%first{r} = insertelement {t} poison, double %c{r}, i32 0",
+            f"%all{r} = shufflevector {t} %first{r}, {t} poison, <{w} x i32> zeroinitializer",
+            f"%to{r} = getelementptr double, ptr %s{r}, i64 %place{r}",
+            f"store {t} %all{r}, ptr %to{r}, align {8 * w}",
+            f"%j{r} = add i64 %i{r}, 1",
+            f"%c{r}.done = icmp eq i64 %j{r}, {count}",
+            f"br i1 %c{r}.done, label %after{r}, label %put{r}",
+            f"after{r}:",
+        ]
+
+    def emit(self) -> str:
+        text = super().emit()
+        tables = []
+        for r, unordered in self.constants.items():
+            found = sorted(unordered, key=lambda one: one[1])
+            numbers, places = (
+                ", ".join(p) for p in zip(*((f"double {c}", f"i64 {LANES * at}") for c, at in found), strict=True)
+            )
+            tables.append(f"@{self.name}.constants{r} = private constant [{len(found)} x double] [{numbers}]")
+            tables.append(f"@{self.name}.places{r} = private constant [{len(found)} x i64] [{places}]")
+        return "\n".join([*tables, text])
 
 
 def emit_lanes(

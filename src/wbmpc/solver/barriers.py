@@ -12,7 +12,6 @@ from wbmpc.solver.memory_layout import (
     LANE_SMALL,
     LANE_U,
     LANE_X,
-    LANES_OUT,
     NU,
     NX,
     PATH_BOXES,
@@ -70,16 +69,6 @@ def add_barrier(
 
 
 @compiled
-def logarithms(m: Floats, o: Integers, values: Vector) -> Vector:
-    """Of eight numbers."""
-    lanes = o[LANES_OUT]
-    m[lanes : lanes + LANES] = values
-    for i in range(LANES):
-        m[lanes + i] = np.log(m[lanes + i])
-    return m[lanes : lanes + LANES]
-
-
-@compiled
 def add_derivatives(m: Floats, o: Integers, variable: int, sign: float, slope: Vector, curve: Vector) -> None:
     """Slope and curvature of one variable onto those of the block."""
     at = o[LANE_BARRIER] + 2 * LANES * variable
@@ -102,7 +91,7 @@ def barrier_lanes(m: Floats, o: Integers, derivative: bool) -> None:
         h = m[b] * m[at : at + LANES] + m[b + 1]
         inside = h > delta
         if weight != mu or not np.all((product > 1e-100) & (product < 1e100)):
-            value = value - mu * logarithms(m, o, product)
+            value = value - mu * np.log(product)
             product, mu = np.full(LANES, 1.0), weight
         held = np.where(inside, h, 1.0)
         product = product * held
@@ -116,7 +105,7 @@ def barrier_lanes(m: Floats, o: Integers, derivative: bool) -> None:
         if derivative:
             add_derivatives(m, o, i, m[b], slope, curve)
     out = o[LANE_SMALL] + BARRIER
-    m[out : out + LANES] = value - mu * logarithms(m, o, product)
+    m[out : out + LANES] = value - mu * np.log(product)
 
 
 @compiled

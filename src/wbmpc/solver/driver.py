@@ -12,6 +12,7 @@ from wbmpc.solver.inequalities import (
     row_residual_at_iterate,
     rows_step,
     start_rows,
+    start_rows_later,
     take_rows,
 )
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
@@ -62,13 +63,16 @@ def start_rows_of_solve(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
             misfit = max(misfit, abs(x0[i] - m[o[X] + i]))
     m[state + StateField.CONVERGED] = 0.0
     if not misfit < s[Setting.MIN_SLACK]:
-        start_rows(m, o, s[Setting.MIN_SLACK], real_time, s[Setting.KEEP_SLACKS] > 0.0)
+        if s[Setting.SINGLE_SHOOTING] > 0.0:
+            start_rows(m, o, s[Setting.MIN_SLACK], real_time, s[Setting.KEEP_SLACKS] > 0.0)
+        else:
+            start_rows_later(m, o, s[Setting.MIN_SLACK], real_time, s[Setting.KEEP_SLACKS] > 0.0)
         return
     slack = max(misfit, floor)
     m[state + StateField.BARRIER] = min(s[Setting.INITIAL_BARRIER], slack * slack)
     start_rows(m, o, slack, True, False)
     limit_products(m, o, s[Setting.INITIAL_BARRIER])
-    mean, _ = take_rows(m, o, 0.0, 0.0, False)
+    mean, _ = take_rows(m, o, 0.0, 0.0, False, True)
     m[state + StateField.BARRIER] = min(s[Setting.INITIAL_BARRIER], max(mean, s[Setting.BARRIER]))
 
 
@@ -93,6 +97,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
         m[state + StateField.ROW_COST],
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
+    m[state + StateField.START] = 0.0
     m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS] = 0.0, 0.0
     start_adaptive(m, state)
     forget_errors(m, o)
@@ -120,6 +125,7 @@ def direction(
     state, compute_kkt = o[STATE], s[Setting.COMPUTE_KKT] > 0.0
     m[state + StateField.DIRECTIONS] += 1.0
     cost, gaps, equalities, violation = backward(m, o, compute_kkt)
+    m[state + StateField.START] = 0.0
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])
     violation += gaps + equalities
@@ -170,11 +176,12 @@ def settle_rows(
     )
     # multipliers wait until their subproblem is solved well enough (Nocedal and Wright 2006, framework 17.3)
     solved = not compute_kkt or kkt <= max(s[Setting.TOLERANCE], 0.1 * residual)
-    mean, smallest = take_rows(m, o, alpha, m[state + StateField.MAX_DUAL_STEP], solved)
+    adapts = compute_kkt and s[Setting.KEEP_MULTIPLIERS] == 0.0
+    mean, smallest = take_rows(m, o, alpha, m[state + StateField.MAX_DUAL_STEP], solved, adapts)
     feasible = violation <= s[Setting.FEASIBILITY] and residual <= s[Setting.FEASIBILITY]
     error = 0.0 if feasible else max(violation, residual)
     after = next_mu(mu, level, max(kkt, error) if compute_kkt else 0.0, product)
-    adapts = compute_kkt and s[Setting.KEEP_MULTIPLIERS] == 0.0 and mean > 0.0
+    adapts = adapts and mean > 0.0
     if adapts:
         errors = (max(max(kkt, violation), max(residual, product)), max(kkt, error))
         after = min(

@@ -59,9 +59,13 @@ from wbmpc.solver.memory_layout import (
     X,
 )
 from wbmpc.solver.node_inequalities import (
+    FRESH,
+    KEEP_MULTIPLIERS,
+    KEEP_SLACKS,
     collect_values,
     end_values,
     row_changes,
+    start_node,
 )
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
@@ -126,9 +130,9 @@ def rows_step(m: Floats, o: Integers, tau: float) -> float:
 
 
 @compiled
-def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) -> tuple[float, float]:
+def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool, products: bool) -> tuple[float, float]:
     """Slacks and multipliers move by their steps; those of MULTIPLIER rows only when ``solved``. Returns (mean, smallest)
-    of the products of slacks and multipliers; (0, 0) without any."""
+    of the ``products`` of slacks and multipliers, where they are asked for; (0, 0) without any."""
     moved = primal if solved else 0.0
     total, count, smallest = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, np.inf)
     for k in range(o[N] + 1):
@@ -142,6 +146,8 @@ def take_rows(m: Floats, o: Integers, primal: float, dual: float, solved: bool) 
             m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] -= change
             m[o[ROW_T] + q : o[ROW_T] + q + LANES] += primal * m[o[ROW_DT] + q : o[ROW_DT] + q + LANES]
             m[o[ROW_S] + q : o[ROW_S] + q + LANES] += primal * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
+            if not products:
+                continue
             _, penalty, active = eight_rows(m, o, first + j, k)
             hard = active & (kind == HARD)
             closed = hard & (penalty < np.inf)
@@ -238,32 +244,19 @@ def start_rows(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks
 
     ``keep_slacks``: slacks that there are stay too.
     """
-    mu = m[o[STATE] + StateField.BARRIER]
-    kept = np.inf if keep else -1.0  # multipliers below it are kept
-    slacks_kept = np.inf if keep and keep_slacks else -1.0
+    how = how_to_start(keep, keep_slacks)
     for k in range(o[N] + 1):
-        first, boxes, general = node_rows(o, k)
-        if boxes + general == 0:
-            continue
         values_at_iterate(m, o, k)
-        values = o[ROW_TRIAL]
-        for j in range(0, boxes + general, LANES):
-            q, at = k * o[ROWS] + j, values + j
-            kind, penalty, _ = eight_rows(m, o, first + j, k)
-            h, closed, hard = m[at : at + LANES], penalty < np.inf, kind == HARD
-            t_old, l_old = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]
-            s_old, y_old = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
-            t = np.where(h > min_slack, h, min_slack)  # also for a NaN
-            l = np.where((l_old > 0.0) & (l_old < kept), l_old, mu / t)  # noqa: E741
-            l = np.minimum(np.maximum(l, 1e-12), np.where(closed, 0.99 * penalty, np.inf))  # noqa: E741
-            y = penalty - l
-            s = np.where(closed, np.maximum(t - h, mu / y), 0.0)
-            stay = (t_old > 0.0) & (abs(l_old) < slacks_kept)
-            other = np.where(abs(l_old) < kept, l_old, 0.0)
-            l = np.where(hard, np.where(stay, l_old, l), other)  # noqa: E741
-            t, s = np.where(hard, np.where(stay, t_old, t), t_old), np.where(hard, np.where(stay, s_old, s), s_old)
-            y = np.where(hard, np.where(stay, y_old, y), y_old)
-            m[o[ROW_T] + q : o[ROW_T] + q + LANES] = t
-            m[o[ROW_L] + q : o[ROW_L] + q + LANES] = l
-            m[o[ROW_S] + q : o[ROW_S] + q + LANES] = s
-            m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] = y
+        start_node(m, o, k, o[ROW_TRIAL], min_slack, how)
+
+
+@compiled
+def how_to_start(keep: bool, keep_slacks: bool) -> float:
+    """FRESH, KEEP_MULTIPLIERS or KEEP_SLACKS."""
+    return (KEEP_SLACKS if keep_slacks else KEEP_MULTIPLIERS) if keep else FRESH
+
+
+@compiled
+def start_rows_later(m: Floats, o: Integers, min_slack: float, keep: bool, keep_slacks: bool) -> None:
+    """As :func:`start_rows`, by the next linearization, which has the rows' values anyway; up to then they are those of before."""
+    m[o[STATE] + StateField.START], m[o[STATE] + StateField.START_SLACK] = how_to_start(keep, keep_slacks), min_slack

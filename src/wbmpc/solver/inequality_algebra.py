@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wbmpc.solver.compilation import LANES, Floats, Integers, Vector, compiled
+from wbmpc.solver.compilation import Vector, compiled
 from wbmpc.solver.inequality_table import EQUAL, HARD, MULTIPLIER
-from wbmpc.solver.memory_layout import LANES_OUT
 
 
 @compiled
@@ -19,8 +18,9 @@ def weights(
     """(σ, e)."""
     closed = penalty < np.inf
     scale, rest = np.where(closed, y, 1.0), np.where(closed, s * lam, 0.0)
-    inverse = 1.0 / (lam * scale)  # divisions are what a row costs
-    sigma = lam * scale / (t * scale + rest)
+    up, down = lam * scale, t * scale + rest
+    both = 1.0 / (up * down)  # divisions are what a row costs
+    inverse, sigma = down * both, up * up * both
     e = h - mu * inverse * np.where(closed, y - lam, 1.0) - t - rest * lam * inverse
     if np.all(kind == HARD):
         return sigma, e
@@ -55,7 +55,9 @@ def steps(
     """
     closed = penalty < np.inf
     y, s = np.where(closed, y, 1.0), np.where(closed, s, 1.0)
-    inverse, other = 1.0 / (lam * y), 1.0 / (t * s)
+    of_multipliers, of_slacks = lam * y, t * s
+    both = 1.0 / (of_multipliers * of_slacks)
+    inverse, other = of_slacks * both, of_multipliers * both
     by_l, by_y, by_t, by_s = y * inverse, lam * inverse, s * other, t * other
     dl = following - lam
     dt, ds = (mu - t * dl) * by_l - t, (mu + s * dl) * by_y - s
@@ -66,19 +68,3 @@ def steps(
     shrink = np.maximum(-dt * by_t, np.where(closed, -ds * by_s, 0.0))
     fall = np.maximum(-dl * by_l, np.where(closed, dl * by_y, 0.0))
     return dt, np.where(closed, ds, 0.0), dl, shrink, fall, slack_slope - mu * dt * by_t
-
-
-@compiled
-def log_of_product(m: Floats, o: Integers, product: Vector) -> float:
-    """Σ log of eight numbers, with as few logarithms as their sizes allow."""
-    lanes, total, one = o[LANES_OUT], 0.0, 1.0
-    m[lanes : lanes + LANES] = product
-    for i in range(LANES):
-        if not 1e-200 < one < 1e200:
-            total += np.log(one)
-            one = 1.0
-        if 1e-100 < m[lanes + i] < 1e100:
-            one *= m[lanes + i]
-        else:
-            total += np.log(m[lanes + i])
-    return total + np.log(one)

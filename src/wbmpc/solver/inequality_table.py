@@ -18,7 +18,6 @@ from wbmpc.solver.memory_layout import (
     ROW_N,
     ROW_TABLE,
     ROW_TOTAL,
-    ROW_TRIAL,
     ROWS,
     STATE,
     N,
@@ -92,12 +91,12 @@ def reset_violations(m: Floats, o: Integers) -> None:
 
 
 @compiled
-def record_input_violations(m: Floats, o: Integers, k: int) -> None:
-    """Remember in ``state`` by how much node k's inputs are outside: rows of inputs alone, rows with states too."""
+def record_input_violations(m: Floats, o: Integers, k: int, values: int) -> None:
+    """Remember in ``state`` by how much node k's inputs are outside: rows of inputs alone, rows with states too. ``values``: of its rows."""
     _, boxes, general = node_rows(o, k)
     for j in range(boxes + general):
         if bounds_inputs(m, o, j):
-            mixed, by = row_penalty(m, o, j) < np.inf, -m[o[ROW_TRIAL] + j]
+            mixed, by = row_penalty(m, o, j) < np.inf, -m[values + j]
             field = o[STATE] + (StateField.MIXED_VIOLATION if mixed else StateField.INPUT_VIOLATION)
             if by > m[field]:
                 which = StateField.MIXED_VIOLATION_ROW if mixed else StateField.INPUT_VIOLATION_ROW
@@ -105,12 +104,12 @@ def record_input_violations(m: Floats, o: Integers, k: int) -> None:
 
 
 @compiled
-def record_state_violations(m: Floats, o: Integers, k: int) -> None:
+def record_state_violations(m: Floats, o: Integers, k: int, values: int) -> None:
     """Remember in ``state`` by how much node k's state is outside: all rows, and those that do not give way a step further."""
     first, boxes, general = node_rows(o, k)
     state = o[STATE]
     for j in range(boxes + general):
-        r, q, by = first + j, k * o[ROWS] + j, -m[o[ROW_TRIAL] + j]
+        r, q, by = first + j, k * o[ROWS] + j, -m[values + j]
         if (
             by <= THRESHOLDS.limit_tolerance
             or bounds_inputs(m, o, r)
@@ -139,12 +138,12 @@ def initial_violation(m: Floats, o: Integers) -> float:
 
 
 @compiled
-def record_violations(m: Floats, o: Integers, k: int) -> None:
+def record_violations(m: Floats, o: Integers, k: int, values: int) -> None:
     """As :func:`record_input_violations` and :func:`record_state_violations`, for nodes that rarely violate anything."""
     first, boxes, general = node_rows(o, k)
     inputs, states = np.full(LANES, 0.0), np.full(LANES, 0.0)
     for j in range(0, boxes + general, LANES):
-        r, at, bounds = first + j, o[ROW_TRIAL] + j, entry(o, RowField.COUNTS_FIRST, first + j)
+        r, at, bounds = first + j, values + j, entry(o, RowField.COUNTS_FIRST, first + j)
         kind = m[entry(o, RowField.KIND, r) : entry(o, RowField.KIND, r) + LANES]
         column = entry(o, RowField.COUNTS if k > 0 else RowField.COUNTS_FIRST, r)
         over = np.where((kind == HARD) & (m[column : column + LANES] > 0.0), -m[at : at + LANES], 0.0)
@@ -152,6 +151,6 @@ def record_violations(m: Floats, o: Integers, k: int) -> None:
         inputs = np.maximum(inputs, np.where(of_inputs, over, 0.0))
         states = np.maximum(states, np.where(of_inputs, 0.0, over))
     if np.max(inputs) > ROUNDING:
-        record_input_violations(m, o, k)
+        record_input_violations(m, o, k, values)
     if np.max(states) > THRESHOLDS.limit_tolerance:
-        record_state_violations(m, o, k)
+        record_state_violations(m, o, k, values)

@@ -22,6 +22,8 @@ from wbmpc.solver.memory_layout import (
     PATH_BOXES,
     POLICY,
     QUATERNIONS,
+    ROW_TRIAL,
+    ROWS,
     SMALL,
     SOFT_EQUALITIES,
     STATE,
@@ -35,11 +37,11 @@ from wbmpc.solver.memory_layout import (
     U,
     X,
 )
-from wbmpc.solver.node_inequalities import end_values, rows_merit
+from wbmpc.solver.node_inequalities import collect_values, end_values, rows_merit, values_of_block
 from wbmpc.solver.nonlinear_input_constraints import follow, hold_node
 from wbmpc.solver.riccati import backward
 from wbmpc.solver.settings import THRESHOLDS
-from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block, take_rows_of_lane
+from wbmpc.solver.simd_batch import cost_and_equalities, evaluate_rows, gaps, load_block
 from wbmpc.solver.soft_equalities import soft_equality_terms_of_block
 from wbmpc.solver.stages import interval, normalize, stage_end
 
@@ -94,7 +96,7 @@ def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tup
 
     ``single``: the policy is rolled out, feedback included; else states and inputs move along the step.
     """
-    n, nx, nu = o[N], o[NX], o[NU]
+    n, nx = o[N], o[NX]
     reset_violations(m, o)
     m[o[STATE] + StateField.TRIAL_POINTS] += 1.0
     if single:
@@ -115,16 +117,17 @@ def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tup
             paid, apart, missed = soft_equality_terms_of_block(m, o, first, alpha)
             of_rows, violation, of_soft = of_rows + paid, violation + apart, of_soft + missed - apart
         evaluate_rows(m, o)
+        values_of_block(m, o, first, count, (o[XT], o[UT]), o[ROW_TRIAL])
         for k in range(first, first + count):
-            h, x, u = m[o[GRID] + k + 1] - m[o[GRID] + k], o[XT] + k * nx, o[UT] + k * nu
-            take_rows_of_lane(m, o, k - first)
-            row_cost, row_violation = rows_merit(m, o, k, x, u, alpha)
+            h, values = m[o[GRID] + k + 1] - m[o[GRID] + k], o[ROW_TRIAL] + (k - first) * o[ROWS]
+            row_cost, row_violation = rows_merit(m, o, k, values, alpha)
             of_rows, violation = of_rows + h * row_cost, violation + h * row_violation
     last, small = o[XT] + n * nx, o[SMALL]
     stage_end(o, END_COST, last, o[P] + n * o[NP], small, small)
     cost += m[small] + barrier_value(m, o, o[PATH_BOXES], o[END_BOXES], last, last)
     end_values(m, o, last)
-    row_cost, row_violation = rows_merit(m, o, n, last, last, alpha)
+    collect_values(m, o, n, last, last, o[ROW_TRIAL])
+    row_cost, row_violation = rows_merit(m, o, n, o[ROW_TRIAL], alpha)
     of_rows, violation = of_rows + row_cost, violation + row_violation
     m[o[STATE] + StateField.COST], m[o[STATE] + StateField.VIOLATION] = cost, violation + of_soft
     return cost + of_rows, violation

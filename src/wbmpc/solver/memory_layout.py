@@ -33,7 +33,7 @@ ROW_DT, ROW_DS, ROW_Y = (_block[n] for n in ("rows_dt", "rows_ds", "rows_y"))
 ROW_TABLE, ROW_J, ROW_MATRIX, END_J = (_block[n] for n in ("row_table", "row_jacobian", "row_matrix", "end_jacobian"))
 SOFT_RESIDUAL, SOFT_RESIDUAL_STEP = (_block[n] for n in ("soft_residual", "soft_residual_step"))
 ADJOINT, NU_ROWS, SIGNED = (_block[n] for n in ("adjoint", "multiplier", "signed"))
-PULLED, ROW_TRIAL, LANES_OUT = (_block[n] for n in ("pulled", "row_trial", "lanes"))
+PULLED, ROW_TRIAL = (_block[n] for n in ("pulled", "row_trial"))
 NORMAL, SECOND, CHAINED = (_block[n] for n in ("normal", "second", "chained"))
 LANE_X, LANE_NEXT, LANE_U, LANE_P, LANE_SMALL = (_block[f"lane_{n}"] for n in ("x", "next", "u", "p", "small"))
 LANE_F, LANE_S1, LANE_S2, LANE_S3 = (_block[f"lane_{n}"] for n in ("f", "s1", "s2", "s3"))
@@ -112,6 +112,9 @@ class StateField(IntEnum):
     DIRECTIONS = 39
     TRIAL_POINTS = 40
     MIXED_VIOLATION_ROW = 41  # which of those with one is violated most
+    # what the next linearization does with slacks and multipliers first: node_inequalities.py
+    START = 42  # 0: nothing
+    START_SLACK = 43  # the least slack
 
 
 class Setting(IntEnum):

@@ -6,8 +6,10 @@ import numpy as np
 
 from wbmpc.solver.barriers import INTERVAL, add_square
 from wbmpc.solver.compilation import LANES, Floats, Integers, call2, call3, call4, call5, call6, compiled
-from wbmpc.solver.inequality_algebra import log_of_product, merits, weights
+from wbmpc.solver.inequality_algebra import merits, weights
 from wbmpc.solver.inequality_table import (
+    HARD,
+    ROUNDING,
     eight_rows,
     entry,
     node_rows,
@@ -58,7 +60,6 @@ from wbmpc.solver.memory_layout import (
     ROW_PRODUCTS,
     ROW_S,
     ROW_T,
-    ROW_TRIAL,
     ROW_Y,
     ROWS,
     SIGNED,
@@ -73,6 +74,9 @@ from wbmpc.solver.memory_layout import (
     X,
 )
 from wbmpc.solver.stages import row_index, stage_end
+
+#: How rows start: anew, with the multipliers that there are, with slacks, too.
+FRESH, KEEP_MULTIPLIERS, KEEP_SLACKS = 1.0, 2.0, 3.0
 
 
 @compiled
@@ -105,6 +109,19 @@ def collect_values(m: Floats, o: Integers, k: int, x: int, u: int, out: int) -> 
 
 
 @compiled
+def values_of_block(m: Floats, o: Integers, first: int, count: int, at: tuple[int, int], out: int) -> None:
+    """h of ``count`` nodes' rows from node ``first`` on, one node after the other at ``out``: as :func:`collect_values`; ``at``: where the
+    trajectories are."""
+    boxes, base = o[ROW_BOXES], o[BASE]
+    x, u = at
+    if o[ROW_GENERAL] > 0:
+        call4(o[UNPACK_ROWS], base + 8 * o[LANE_VALUES], base + 8 * (out + boxes), 8 * o[ROWS], count - 1)
+    for k in range(first, first + count):
+        if boxes > 0:
+            evaluate_boxes(m, o, BOX_VALUES, x + k * o[NX], u + k * o[NU], out + (k - first) * o[ROWS])
+
+
+@compiled
 def end_values(m: Floats, o: Integers, x: int) -> None:
     """Values of the general rows of the end into ``small`` from entry 16 on."""
     if o[END_ROW_GENERAL] > 0:
@@ -113,18 +130,14 @@ def end_values(m: Floats, o: Integers, x: int) -> None:
 
 
 @compiled
-def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> tuple[float, float]:
-    """(cost, violation) of node k's rows at the point x, u with slacks a step of ``alpha`` further; not yet times w.
-
-    The values of its general rows are in ``small``."""
+def rows_merit(m: Floats, o: Integers, k: int, values: int, alpha: float) -> tuple[float, float]:
+    """(cost, violation) of node k's rows with the ``values``, and slacks a step of ``alpha`` further; not yet times w."""
     first, boxes, general = node_rows(o, k)
     if boxes + general == 0:
         return 0.0, 0.0
-    offset, mu, values = k * o[ROWS], m[o[STATE] + StateField.BARRIER], o[ROW_TRIAL]
-    collect_values(m, o, k, x, u, values)
-    if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0:
-        record_violations(m, o, k)
-    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    offset, mu = k * o[ROWS], m[o[STATE] + StateField.BARRIER]
+    zero, product = np.full(LANES, 0.0), np.full(LANES, 1.0)
+    cost, violation, logs, outside = zero, zero, zero, zero
     for j in range(0, boxes + general, LANES):
         q, at = offset + j, values + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
@@ -133,12 +146,43 @@ def rows_merit(m: Floats, o: Integers, k: int, x: int, u: int, alpha: float) -> 
         s = m[o[ROW_S] + q : o[ROW_S] + q + LANES] + alpha * m[o[ROW_DS] + q : o[ROW_DS] + q + LANES]
         c, v, factor = merits(kind, h, t, l, s, penalty)
         cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
-        product = product * np.where(active, factor, 1.0)
+        outside, product = np.maximum(outside, -h), product * np.where(active, factor, 1.0)
         if not np.all((product > 1e-200) & (product < 1e200)):
-            logs += log_of_product(m, o, product)
+            logs = logs + np.log(product)
             product = np.full(LANES, 1.0)
-    logs += log_of_product(m, o, product)
-    return np.sum(cost) - mu * logs, np.sum(violation)
+    if m[o[STATE] + StateField.CHECK_INPUT_ROWS] > 0.0 and np.max(outside) > ROUNDING:
+        record_violations(m, o, k, values)
+    logs = logs + np.log(product)
+    return np.sum(cost - mu * logs), np.sum(violation)
+
+
+@compiled
+def start_node(m: Floats, o: Integers, k: int, values: int, min_slack: float, how: float) -> None:
+    """Slacks and multipliers of node k's rows, which have the ``values``; see :func:`wbmpc.solver.inequalities.start_rows`."""
+    first, boxes, general = node_rows(o, k)
+    mu = m[o[STATE] + StateField.BARRIER]
+    kept = np.inf if how > FRESH else -1.0  # multipliers below it are kept
+    slacks_kept = np.inf if how > KEEP_MULTIPLIERS else -1.0
+    for j in range(0, boxes + general, LANES):
+        q, at = k * o[ROWS] + j, values + j
+        kind, penalty, _ = eight_rows(m, o, first + j, k)
+        h, closed, hard = m[at : at + LANES], penalty < np.inf, kind == HARD
+        t_old, l_old = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]
+        s_old, y_old = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
+        t = np.where(h > min_slack, h, min_slack)  # also for a NaN
+        l = np.where((l_old > 0.0) & (l_old < kept), l_old, mu / t)  # noqa: E741
+        l = np.minimum(np.maximum(l, 1e-12), np.where(closed, 0.99 * penalty, np.inf))  # noqa: E741
+        y = penalty - l
+        s = np.where(closed, np.maximum(t - h, mu / y), 0.0)
+        stay = (t_old > 0.0) & (abs(l_old) < slacks_kept)
+        other = np.where(abs(l_old) < kept, l_old, 0.0)
+        l = np.where(hard, np.where(stay, l_old, l), other)  # noqa: E741
+        t, s = np.where(hard, np.where(stay, t_old, t), t_old), np.where(hard, np.where(stay, s_old, s), s_old)
+        y = np.where(hard, np.where(stay, y_old, y), y_old)
+        m[o[ROW_T] + q : o[ROW_T] + q + LANES] = t
+        m[o[ROW_L] + q : o[ROW_L] + q + LANES] = l
+        m[o[ROW_S] + q : o[ROW_S] + q + LANES] = s
+        m[o[ROW_Y] + q : o[ROW_Y] + q + LANES] = y
 
 
 @compiled
@@ -176,8 +220,11 @@ def weigh_rows(m: Floats, o: Integers, k: int) -> tuple[float, float]:
     """σ and e of node k's rows, whose values are there: w times (cost, violation)."""
     first, boxes, general = node_rows(o, k)
     w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
-    mu, offset = m[o[STATE] + StateField.BARRIER], k * o[ROWS]
-    cost, violation, product, logs = np.full(LANES, 0.0), np.full(LANES, 0.0), np.full(LANES, 1.0), 0.0
+    mu, offset, how = m[o[STATE] + StateField.BARRIER], k * o[ROWS], m[o[STATE] + StateField.START]
+    if how > 0.0:
+        start_node(m, o, k, o[ROW_H] + offset, m[o[STATE] + StateField.START_SLACK], how)
+    zero, product = np.full(LANES, 0.0), np.full(LANES, 1.0)
+    cost, violation, logs = zero, zero, zero
     for j in range(0, boxes + general, LANES):
         q = offset + j
         kind, penalty, active = eight_rows(m, o, first + j, k)
@@ -190,10 +237,10 @@ def weigh_rows(m: Floats, o: Integers, k: int) -> tuple[float, float]:
         cost, violation = cost + np.where(active, c, 0.0), violation + np.where(active, v, 0.0)
         product = product * np.where(active, factor, 1.0)
         if not np.all((product > 1e-200) & (product < 1e200)):
-            logs += log_of_product(m, o, product)
+            logs = logs + np.log(product)
             product = np.full(LANES, 1.0)
-    logs += log_of_product(m, o, product)
-    return w * (np.sum(cost) - mu * logs), w * np.sum(violation)
+    logs = logs + np.log(product)
+    return w * np.sum(cost - mu * logs), w * np.sum(violation)
 
 
 @compiled
@@ -204,10 +251,8 @@ def linearize_rows(m: Floats, o: Integers, first: int, count: int) -> tuple[floa
     if boxes + general == 0:
         return 0.0, 0.0
     at, stride, base = first * o[ROWS] + boxes, 8 * o[ROWS], o[BASE]
-    if general > 0:
-        call4(o[UNPACK_ROWS], base + 8 * o[LANE_VALUES], base + 8 * (o[ROW_H] + at), stride, count - 1)
+    values_of_block(m, o, first, count, (o[X], o[U]), o[ROW_H] + first * o[ROWS])
     for k in range(first, first + count):
-        evaluate_boxes(m, o, BOX_VALUES, o[X] + k * o[NX], o[U] + k * o[NU], o[ROW_H] + k * o[ROWS])
         c, v = weigh_rows(m, o, k)
         cost, violation = cost + c, violation + v
     if general > 0:

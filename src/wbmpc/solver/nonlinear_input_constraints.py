@@ -299,7 +299,7 @@ def hold_node(m: Floats, o: Integers, k: int, alpha: float) -> None:
     to the direction, they would say where inputs are not, and the slack nearest to zero would cut the steps that follow."""
     _, boxes, general = node_rows(o, k)
     pull_inside(m, o, k)
-    record_input_violations(m, o, k)
+    record_input_violations(m, o, k, o[ROW_TRIAL])
     if alpha == 0.0:
         return
     for j in range(boxes + general):

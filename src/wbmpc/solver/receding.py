@@ -110,6 +110,23 @@ def count_until(numbers: Floats, first: int, count: int, t: float) -> int:
 
 
 @compiled
+def between(numbers: Floats, a: int, width: int, fraction: float, m: Floats, out: int) -> None:
+    """The row of ``width`` numbers from ``a`` on, and that ``fraction`` of what the row behind it has more: to ``out``."""
+    b, whole = a + width, width // LANES * LANES
+    if fraction == 0.0:
+        for c in range(0, whole, LANES):
+            m[out + c : out + c + LANES] = numbers[a + c : a + c + LANES]
+        for c in range(whole, width):
+            m[out + c] = numbers[a + c]
+        return
+    for c in range(0, whole, LANES):
+        first = numbers[a + c : a + c + LANES]
+        m[out + c : out + c + LANES] = first + fraction * (numbers[b + c : b + c + LANES] - first)
+    for c in range(whole, width):
+        m[out + c] = numbers[a + c] + fraction * (numbers[b + c] - numbers[a + c])
+
+
+@compiled
 def sample(numbers: Floats, integers: Integers, t: float, m: Floats, out: int) -> None:
     """References and mode values at time t into the parameter vector at offset ``out`` of ``m``."""
     for slot in range(integers[0]):
@@ -123,12 +140,7 @@ def sample(numbers: Floats, integers: Integers, t: float, m: Floats, out: int) -
             i = 0
         elif i < n - 1 and not hold:
             fraction = (t - numbers[times + i]) / (numbers[times + i + 1] - numbers[times + i])
-        base = values + i * width
-        for c in range(width):
-            value = numbers[base + c]
-            if fraction > 0.0:
-                value += fraction * (numbers[base + width + c] - value)
-            m[target + c] = value
+        between(numbers, values + i * width, width, fraction, m, target)
         if kind == POSE and fraction > 0.0:
             norm = 0.0
             for c in range(3, 7):

@@ -117,8 +117,7 @@ BLOCKS = (
     "soft_residual_step",
     "adjoint",  # (4, lx): costate, its two multiples, spare
     "pulled",  # (lz + 24,): Jᵀ σ J δz of one node; scratch of the forward pass
-    "row_trial",  # (rows,): values at a trial point of one node
-    "lanes",  # (8,)
+    "row_trial",  # (8, rows): values at a trial point of one node, or of eight
     "multiplier",  # (equalities,)
     "signed",  # (general rows,): their multipliers with the sign of the Lagrangian; scratch of the KKT residual
     "normal",  # (equalities, equalities)
@@ -291,8 +290,7 @@ def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]
         "soft_residual_step": (n, max(s.ng, 1)) if problem.soft_equalities else (1,),
         "adjoint": (4, s.lx),
         "pulled": (s.lz + 3 * LANES,),
-        "row_trial": (rows,),
-        "lanes": (8,),
+        "row_trial": (LANES, rows),
         "multiplier": (max(s.ng, 1),),
         "signed": (max(s.nr, s.ne, 1),),
         "normal": (max(s.ng, 1), max(s.ng, 1)),
