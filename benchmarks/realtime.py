@@ -101,7 +101,7 @@ def make_rezero_controller(own: MPC, plant: BallPlant, rate: float) -> BallContr
     controller = BallController(
         robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.actuator_time_constant)
     )
-    controller.lean_control = LeanControl(robot, arm, RezeroCost().lean, PUSHED_SPEED)
+    controller.learned.lean_control = LeanControl(robot, arm, RezeroCost().lean, PUSHED_SPEED)
     return controller
 
 

@@ -140,7 +140,7 @@ class DoorTracker(BallController):
         assert self.measured is not None
         motion = self._end_effector(self.measured.state)
         acted = self.sent.acted(self._late())
-        self.sensorless.update(self.measured.state, acted, self.period, self._carried())
+        self.sensorless.update(self.measured.state, acted, self.period, self.learned.carried)
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
         self._compare(measurement.time)

@@ -15,8 +15,9 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.ball.controller import GATE, BallController
+from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
+from wbmpc.bases.ball.learned_forces import GATE
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -117,7 +118,7 @@ class SeparateController(BallController):
         if observer:
             wheels = robot.input["wheel"]
             step = lambda x, u, h: planner.solver.simulate(x, u[wheels], h)
-            self.observer = DisturbanceObserver(step, self._base_mass, n, np.array(GATE))
+            self.learned.observer = DisturbanceObserver(step, self._base_mass, n, np.array(GATE))
 
     def _base_mass(self, q: Array) -> Array:
         """M with the base's columns alone: how the arm moves is no innovation."""
@@ -135,13 +136,13 @@ class SeparateController(BallController):
 
     def _observe(self, measurement: BallMeasurement) -> None:
         self._aim(measurement.time, measurement.state)
-        if self.observer is not None:
+        learned, x = self.learned, measurement.state
+        if learned.observer is not None:
             past = self.sent.acted(self._late())
-            self.disturbance = self._finite(
-                self.observer.update(measurement.time, self.believed(measurement.state), past, self.period)
-            )
+            found = learned.observer.update(measurement.time, self.believed(x), past, self.period)
+            learned.disturbance = learned.finite(found, x)
         self.planner.solver.set_parameters({
-            "disturbance": self.disturbance[:5],
+            "disturbance": learned.disturbance[:5],
             "goal": self._goal if self.aware else self._nominal[self._part], "pace": np.array([self.loop.pace]),
         })  # fmt: skip
 

@@ -95,7 +95,7 @@ class TaskSpaceController(BallController):
         n, g = ball_base(self.robot).nq, self.gains
         place, turned, velocity, jacobian, drift, map_, bias = self._model["now"](x)
         mass = ball_base(self.robot).numeric.mass_matrix(x[:n])
-        free = np.linalg.solve(mass, self.disturbance - bias.ravel())
+        free = np.linalg.solve(mass, self.learned.disturbance - bias.ravel())
         drive = np.linalg.solve(mass, map_)
         target = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
         rows = [jacobian @ drive, np.sqrt(g.balance) * drive[:5], np.sqrt(g.torque) * np.eye(drive.shape[1])]
@@ -126,7 +126,7 @@ class TaskSpaceController(BallController):
         if self.stance is not None:
             ball, yaw = self.stance(t)[:2], self.stance(t)[2]
         lean = self.home[3:5] + self._lean @ (x[5:n] - self.home[5:n])
-        lean = lean + np.linalg.solve(self._stiffness, self.disturbance[3:5])
+        lean = lean + np.linalg.solve(self._stiffness, self.learned.disturbance[3:5])
         away = x[:5] - np.concatenate([ball, [yaw], lean])
         away[:2] = _short(away[:2], self.gains.ball_limit)
         target: Array = -self._gain @ np.concatenate([away, x[n : n + 5]])
