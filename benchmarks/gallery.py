@@ -46,7 +46,7 @@ PACKAGED = {
 #: Goals: mean error of the end effector [m], error at a goal [m], median solve time [ms] of at most so many states.
 MEAN, AT_GOAL, SOLVE_MS, STATES = 2e-4, 5e-3, 0.5, 20
 #: Length [m] of a path; of the short form. Radius of a circle over the reach of a robot whose base stands, and shares of it that are
-#: tried; poses of a circle that are looked at, distance [rad, m] to ends of ranges, least singular value of the six of a pose.
+#: tried; poses of a circle that are checked, distance [rad, m] to ends of ranges, least singular value of the six of a pose.
 LENGTH, SHORT, RADIUS, SMALLER = 5.0, 0.3, 0.2, (1.0, 0.75, 0.5, 0.35)
 DENSE, EDGE, SINGULAR, RANK = 60, 0.05, 0.02, 6
 HEAD = (

@@ -110,7 +110,7 @@ def _rezero(robot: RobotModel, variant: Variant, seed: int, duration: float, cos
     controller = BallController(
         robot, mpc, torque, timing.period, DriveSettings(settings.actuator_time_constant), estimator=estimator
     )
-    controller.lean_control = LeanControl(robot, robot.home[robot.state["arm"]], cost.lean, PUSHED_SPEED)
+    controller.learned.lean_control = LeanControl(robot, robot.home[robot.state["arm"]], cost.lean, PUSHED_SPEED)
     mpc.reset(home, torque)
     rig = Rig(robot, mpc, plant, controller, timing, duration)
     _hold_goals(rig, [(0.0, np.zeros(3))])

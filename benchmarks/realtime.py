@@ -101,7 +101,7 @@ def make_rezero_controller(own: MPC, plant: BallPlant, rate: float) -> BallContr
     controller = BallController(
         robot, own, robot.base.numeric.equilibrium(arm)[1], 1.0 / rate, DriveSettings(BALL.actuator_time_constant)
     )
-    controller.lean_control = LeanControl(robot, arm, RezeroCost().lean, PUSHED_SPEED)
+    controller.learned.lean_control = LeanControl(robot, arm, RezeroCost().lean, PUSHED_SPEED)
     return controller
 
 
@@ -236,7 +236,7 @@ def run(
         "world": errors(case, *robot.end_effector()),
     }
     return {
-        "robot": name, "mpc": "process" if process else "thread", "fifo": fifo, "wanted_rate": rate, "control_rate": control,
+        "robot": name, "mpc": "process" if process else "thread", "fifo": fifo, "target_rate": rate, "control_rate": control,
         "fell": bool(robot.board["fell"]), "largest_tilt": robot.board["tilt"], "physics_behind": int(robot.board["behind"]),
         "load": load, "note": case.note,
         "hand_error_mean": {k: float(v.mean()) if v.size else None for k, v in figures.items()},
@@ -251,7 +251,7 @@ def show(r: dict[str, Any]) -> None:
     error = {k: f"{1e3 * v:.1f}" if v is not None else "-" for k, v in r["hand_error_mean"].items()}
     rows = [
         ("state", r["state"]),
-        ("rate of the MPC [Hz]", f"{r['rate']:.1f} of {r['wanted_rate']:.0f}"),
+        ("rate of the MPC [Hz]", f"{r['rate']:.1f} of {r['target_rate']:.0f}"),
         ("missed deadlines of the MPC", f"{r['mpc_misses']} of {r['updates']} (failed solves: {r['failures']})"),
         ("missed deadlines of the controller", f"{r['misses']} of {r['ticks']}"),
         ("updates without a new observation", str(r["repeated"])),

@@ -25,6 +25,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from wbmpc.registry import locations
 from wbmpc.report.provenance import commit
 
 #: (experiment, settings): short runs that pass through all of the code of their robot.
@@ -34,7 +35,7 @@ FAST: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rezero-circle", ("rounds=1",)),
     ("rezero-push-hand", ("forces=[100]",)),
 )
-#: The protocol's runs, then the variants that the protocol names.
+#: The protocol's runs, then the variants that the protocol names. All other experiments follow with their defaults.
 FULL: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rezero-steps", ()),
     ("swerve-unified", ()),
@@ -66,6 +67,12 @@ FULL: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("rezero-door", ("door=light",)),
     ("rezero-door", ("door=locked",)),
 )
+
+
+def all_cases() -> list[tuple[str, tuple[str, ...]]]:
+    """Every experiment that is installed, with its variants."""
+    listed = [*FAST, *FULL]
+    return listed + [(name, ()) for name in locations() if (name, ()) not in listed]
 
 
 def key(name: str, settings: tuple[str, ...], seed: int) -> str:
@@ -130,7 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     target = [
         (n, s, seed)
         for seed in options.seeds
-        for n, s in (FAST if options.fast else FAST + FULL)
+        for n, s in (FAST if options.fast else all_cases())
         if not options.only or n in options.only
     ]
     different = 0

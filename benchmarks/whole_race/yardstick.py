@@ -58,7 +58,7 @@ def generated(t: Transcription, kernel: Kernel, width: int, weights: int) -> str
         generator.add(ca.Function(own, *_as_sx(functions[name])))
     sizes = {
         "N": t.ocp.intervals, "NX": s.nx, "NU": s.nu, "NG": s.ng, "NZ": s.nz, "LX": s.lx, "LZ": s.lz, "LG": s.lg,
-        "NP": width, "NW": weights, "NB": len(t.path_boxes), "NBE": len(t.terminal_boxes),
+        "NP": width, "NW": weights, "NB": len(t.path.barriers), "NBE": len(t.end.barriers),
         "BUFFER": max(f.nnz_out(i) for f in functions.values() for i in range(f.n_out())) + 1,
         "RELATIVE": RELATIVE_SOFTNESS,
     }  # fmt: skip
@@ -124,7 +124,7 @@ def _prepare(library: ctypes.CDLL, t: Transcription, samples: Samples, lg: int) 
     eps[: t.equality.shape[0]] = t.softness + 1e-14
     p = samples.p if samples.p.shape[1] else np.zeros((grid.size, 1))
     w = samples.w if samples.w.size else np.zeros(1)
-    arrays = [np.ascontiguousarray(a, float) for a in (grid, p, w, eps, table(t.path_boxes), table(t.terminal_boxes))]
+    arrays = [np.ascontiguousarray(a, float) for a in (grid, p, w, eps, table(t.path.barriers), table(t.end.barriers))]
     library.setup(*(_address(a) for a in arrays))
 
 

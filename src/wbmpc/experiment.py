@@ -208,7 +208,7 @@ def _common(run: Run, metrics: Mapping[str, Metric]) -> dict[str, Metric]:
     touches, nearest = sum(len(c.touches) for c in run.contacts), min(c.clearance for c in run.contacts)
     counts = {"contacts_unwanted": float(touches), **fell}
     found = {n: Metric(v, "1", goal=0.0) for n, v in counts.items()}
-    return {**found, "clearance_min": Metric(nearest, "m")}
+    return {**found, "clearance_min": Metric(nearest, "m", larger_is_better=True)}
 
 
 def defined(name: str, metrics: Mapping[str, Metric], definitions: Definitions | None = None) -> dict[str, Metric]:

@@ -29,7 +29,8 @@ class Metric:
     one.
 
     ``least``: a smallest value, alone or with ``goal``. ``goal_note``: what a reader must know about the goal when one run
-    misses it. ``definition``: what is measured, in a few words; reports show it beside the name.
+    misses it. ``definition``: what is measured, in a few words; reports show it beside the name. ``larger_is_better``: a small value is the
+    bad one (a distance to obstacles); one whose only goal is a smallest value needs no word of it.
     """
 
     value: float
@@ -39,6 +40,7 @@ class Metric:
     goal_note: str = ""
     least: float | None = None
     definition: str = ""
+    larger_is_better: bool = False
 
     @property
     def met(self) -> bool | None:

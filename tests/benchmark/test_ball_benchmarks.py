@@ -45,7 +45,7 @@ def at_its_limits(cost: RezeroCost) -> BallController:
 )
 def test_it_leans_against_forces_as_in_the_experiments(make: Any, share: float) -> None:
     """Against one that is too strong with what is left of 90 % of the reach beside ``share``, to which the problem limits it."""
-    lean_control = make().lean_control
+    lean_control = make().learned.lean_control
     assert lean_control is not None and lean_control.speed == PushedDisturbance().max_pushed_speed
     leans = lean_control.leans(STRONG, 0.3)
     lean = np.array(leans[:2]) - lean_control.center(leans, 0.3)

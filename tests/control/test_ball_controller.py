@@ -178,7 +178,7 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
         state[N] = 0.01 * k  # it moves without a torque
         controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
     given = controller.mpc.parameters[-1]["disturbance"]  # type: ignore[attr-defined]
-    assert given is controller.disturbance and given[0] > 0.0
+    assert given is controller.learned.disturbance and given[0] > 0.0
     with pytest.raises(NotFinite, match="disturbance observer: 'state'"):
         controller.measure(BallMeasurement(0.01, np.full(2 * N, np.nan), 0.0))
 
@@ -186,7 +186,7 @@ def test_ball_robot_hands_its_disturbance_to_the_model() -> None:
 def test_what_makes_the_disturbance_infinite_is_reported() -> None:
     """A joint that turns at 17 rad/s (its limit is 4) in a state that the model has no answer to."""
     controller, state = ball_controller(observer=True), np.zeros(2 * N)
-    controller.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]
+    controller.learned.observer.step = lambda x, u, h: np.full(2 * N, np.nan)  # type: ignore[union-attr]
     state[-1] = -17.0
     why = "the estimated disturbance is not finite: arm_elbow is believed to turn at 17 rad/s, and its limit is 4 rad/s"
     controller.measure(
@@ -199,14 +199,14 @@ def test_what_makes_the_disturbance_infinite_is_reported() -> None:
 def test_ball_robot_leans_about_where_it_stands_under_what_it_has_learned() -> None:
     """The shift of the limit is that of the disturbance just learned (tests/control/test_lean_control.py), beside a push's room."""
     controller = ball_controller(observer=True)
-    controller.lean_control = LeanControl(BALL, np.zeros(3), 0.6, 2.0)
+    controller.learned.lean_control = LeanControl(BALL, np.zeros(3), 0.6, 2.0)
     state = np.zeros(2 * N)
     for k in range(200):  # half of what 20 N along x would do: 26 kg
         state[N] = 0.9 * k * PERIOD
         controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
     given = controller.mpc.parameters[-1]  # type: ignore[attr-defined]
-    leans = controller.lean_control.leans(controller.disturbance, 0.0)
-    np.testing.assert_allclose(given["push"], controller.lean_control.center(leans, 0.0))
+    leans = controller.learned.lean_control.leans(controller.learned.disturbance, 0.0)
+    np.testing.assert_allclose(given["push"], controller.learned.lean_control.center(leans, 0.0))
     assert given["push"][0] > 0.01
 
 
@@ -217,7 +217,7 @@ HEIGHT = (18.66 * 0.1956 + 1.2 * 0.48 + 1.4 * 0.63 + 1.1 * 0.94) / (18.66 + 1.2 
 def test_ball_robot_hands_a_push_that_it_feels_to_the_model() -> None:
     """What the model does not explain tilts it forward, ever faster: room is kept in front, for 0.2 s of that drift."""
     controller, state = ball_controller(), np.zeros(2 * N)
-    controller.push_estimator = PushEstimator(BALL, np.zeros(3), 0.2)
+    controller.learned.push_estimator = PushEstimator(BALL, np.zeros(3), 0.2)
     for k in range(40):
         controller.measure(BallMeasurement(k * PERIOD, state.copy(), 0.0))
         state = linear_step(state, np.zeros(TORQUES), PERIOD)

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from toys import made, robot
-from wbmpc.bases.ball.controller import GATE, BallController
+from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.defaults import RezeroCost, rezero_mpc
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.fall_detection import FallPredictor
 from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.learned_forces import GATE
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.model_steps import Learning, ModelSteps
 from wbmpc.bases.ball.payload import PayloadEstimator
@@ -123,8 +124,9 @@ def make(kind: type[BallController], mpc: MPC, observer: bool = True) -> BallCon
     """With all that a new state is asked for."""
     arm = HOME[ROBOT.state["arm"]]
     made = kind(ROBOT, mpc, TORQUE, PERIOD, DriveSettings(0.02, 0.01), observer, None, FallPredictor(ROBOT, arm))
-    made.lean_control, made.push_estimator = LeanControl(ROBOT, arm, 0.6, 2.0), PushEstimator(ROBOT, arm, 0.2)
-    made.payload = parts(mpc, 0.2)[1] if observer else None
+    learned = made.learned
+    learned.lean_control, learned.push_estimator = LeanControl(ROBOT, arm, 0.6, 2.0), PushEstimator(ROBOT, arm, 0.2)
+    learned.payload = parts(mpc, 0.2)[1] if observer else None
     return made
 
 
@@ -142,14 +144,17 @@ def test_a_controller_with_a_model_of_its_own_does_the_same() -> None:
             np.testing.assert_allclose(controller.mpc.solver.parameters, given, rtol=1e-12, atol=1e-15)
             predicted = controller.predict(0.002 * (k % 5), 0.002 * (k % 5) + 4.0 * PERIOD, plans).x
             command = controller.command(0.002 * (k % 5), plans).torque
-            what = (controller.disturbance, controller._leans()[:4], controller.state(), predicted, command)
+            leans = controller.learned.leans(controller.measured)
+            what = (controller.learned.disturbance, leans[:4], controller.state(), predicted, command)
             found.append([*what, controller.target, controller.feedforward, controller.sent.last])
         for one, other in zip(*found, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
-        component = ours.fall_predictor._maximum(x[None], ours.payload.mass, np.zeros((1, 2)), ours._answered())  # type: ignore[union-attr]
-        assert np.hypot(*ours._leans()[4:]) == pytest.approx(component, rel=1e-9)
+        component = ours.fall_predictor._maximum(  # type: ignore[union-attr]
+            x[None], ours.learned.carried, np.zeros((1, 2)), ours.learned.shift(ours.measured)
+        )
+        assert np.hypot(*ours.learned.leans(ours.measured)[4:]) == pytest.approx(component, rel=1e-9)
         cut += int(ours.clamped)
-    assert np.abs(own.disturbance).max() > 0.01 and cut > 10
+    assert np.abs(own.learned.disturbance).max() > 0.01 and cut > 10
     assert ours.sent.count == own.sent.count == 200 > len(ours.sent.rows)
 
 

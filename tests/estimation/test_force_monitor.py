@@ -141,7 +141,8 @@ def controller_with_stalled_sensor(begin: float) -> DoorController:
     """An end effector at rest with a level forearm, the panel above it; it starts at ``begin`` [s]."""
     controller = DoorController.__new__(DoorController)
     controller.phase, controller.period, controller.door, controller.measured = "approach", H, np.zeros(2), None
-    controller.force, controller.monitor, controller.lean_control, controller._found = np.zeros(3), None, None, []
+    controller.force, controller.monitor, controller._found = np.zeros(3), None, []
+    controller.learned = SimpleNamespace(lean_control=None)  # type: ignore[assignment]
     controller.contact, controller.sensor = ContactDetector(), ForceMonitor()
     controller.push = SimpleNamespace(begin=begin, give_up=9.0, open=1.0, tip_weight=0.0)  # type: ignore[assignment]
     controller.robot = SimpleNamespace(home=None, pose=lambda x: (None, np.array([1.0, 0.0, 0.0, 0.0])))  # type: ignore[assignment]

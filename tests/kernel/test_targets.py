@@ -113,7 +113,7 @@ def test_code_for_aarch64(what: str) -> None:
 def test_the_pendulum_uses_more_than_one_kernel() -> None:
     """What the target test solves has equality rows, general rows and boxes."""
     t = pendulum().problem
-    assert t.equality.shape[0] and t.path_boxes and t.path.general_barriers
+    assert t.equality.shape[0] and t.path.barriers and t.path.general_barriers
 
 
 @pytest.mark.parametrize("target", ["x86-64-v3", "aarch64"])

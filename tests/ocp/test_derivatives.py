@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from toys import Rows, ToyDynamics, pendulum, random_stage, rezero_solver, robot, swerve_solver
 from wbmpc.bases.ball.residuals import BallSpin
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, RelaxedBarrier, SmoothL1, Transcription, residuals, sets
+from wbmpc.ocp.parameters import default_weights, mode_tables
 
 MAKERS = {
     "swerve": lambda: swerve_solver(backend="interpreted"),
@@ -118,9 +119,9 @@ def test_switched_terms_count_in_their_modes_only() -> None:
     )
     problem = Transcription(ocp)
     schedule = ModeSchedule((Mode("a", {"m": [7.0]}), Mode("b"), Mode("c")), (0.1, 0.2))
-    tables = problem.mode_tables(schedule)
+    tables = mode_tables(problem, schedule)
     np.testing.assert_array_equal(tables, [[7, 0, 1, 0], [0, 1, 0, 1], [0, 0, 0, 0]])
-    w = problem.default_weights()
+    w = default_weights(problem)
     cost = [float(problem.values["cost"](2.0, 5.0, row, w)) for row in tables]
     np.testing.assert_allclose(cost, [4.0, 4.0 + 25.0 - np.log(2.0), 4.0], rtol=1e-12)
     rows = [float(problem.values["equality"](2.0, 5.0, row, w)) for row in tables]

@@ -104,9 +104,9 @@ def test_boxes_become_rows_and_others_stay_symbolic() -> None:
     t = Transcription(
         problem(Constraint("a", ROW, box), Constraint("b", Rows(1, lambda s: s.u[0] * s.u[1]), sets.NonNegative()))
     )
-    assert [(i, s, c) for i, s, c, *_ in t.path_boxes] == [(2, 1.0, 1.0), (2, -1.0, 2.0), (3, -1.0, 3.0)]
+    assert [(i, s, c) for i, s, c, *_ in t.path.barriers] == [(2, 1.0, 1.0), (2, -1.0, 2.0), (3, -1.0, 3.0)]
     assert [c.name for c, _ in t.path.general_barriers] == ["b"]
-    assert t.terminal_boxes == []
+    assert t.end.barriers == []
     assert float(t.values["cost"]([0, 0], [2, 3], [], [])) == pytest.approx(-1e-2 * np.log(6.0))
 
 

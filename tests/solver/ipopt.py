@@ -37,7 +37,7 @@ def _stage(solver: Solver) -> ca.Function:
     t, w = solver.problem, solver.ws.w
     x, u, h = ca.SX.sym("x", t.nx), ca.SX.sym("u", t.nu), ca.SX.sym("h")
     p = ca.SX.sym("p", solver.ws.p.shape[1])
-    path = _boxes(t.path_boxes, t.nx + t.nu)(ca.vertcat(x, u))
+    path = _boxes(t.path.barriers, t.nx + t.nu)(ca.vertcat(x, u))
     rows = [t.values[name](x, u, p, w) for name in ("equality", "rows")]
     return ca.Function(
         "stage", [x, u, p, h], [h * (t.values["cost"](x, u, p, w) + path), _step(solver, x, u, p, h), *rows]
@@ -59,7 +59,7 @@ def solve(solver: Solver, x0: np.ndarray, plugin: str = "ipopt") -> tuple[np.nda
     """
     t = solver.problem
     n, nx, nu, p, w = t.ocp.intervals, t.nx, t.nu, solver.ws.p, solver.ws.w
-    end, stage = _boxes(t.terminal_boxes, nx + nu), _stage(solver)
+    end, stage = _boxes(t.end.barriers, nx + nu), _stage(solver)
     x, u = [ca.MX.sym("x", nx) for _ in range(n + 1)], [ca.MX.sym("u", nu) for _ in range(n)]
     cost = t.values["terminal"](x[n], p[n], w) + end(ca.vertcat(x[n], ca.MX(nu, 1)))
     rows: list[ca.MX] = []

@@ -9,6 +9,7 @@ import pytest
 
 from wbmpc.model.ode import Ode
 from wbmpc.ocp import Constraint, Cost, OptimalControlProblem, residuals, sets
+from wbmpc.ocp.input_rows import input_bounds
 from wbmpc.solver import ILQR, SQP, Solver, Status
 from wbmpc.solver.barrier_update import adaptive_mu, start_adaptive
 from wbmpc.solver.memory_layout import StateField
@@ -42,7 +43,7 @@ def test_an_input_that_its_bounds_fix_is_a_constant(settings: SQP, gap: float) -
 def test_a_policy_holds_an_input_that_its_bounds_fix() -> None:
     ocp = pushed()
     ocp.add(Constraint("fixed", Rows(2, lambda s: s.u), sets.Box([-3.0, 0.3], [3.0, 0.3]), hard=True))
-    lower, upper = Solver(ocp, SQP.real_time()).problem.input_bounds()
+    lower, upper = input_bounds(Solver(ocp, SQP.real_time()).problem)
     np.testing.assert_allclose(lower, [-3.0, 0.3])
     np.testing.assert_allclose(upper, [3.0, 0.3])
 

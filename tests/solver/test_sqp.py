@@ -273,7 +273,7 @@ def test_cost_and_violation_are_those_of_the_returned_trajectory(settings: SQP, 
     found = solver.solve(START)
     assert found.status is Status.ITERATION_LIMIT
     t, p, w, n = solver.problem, solver.ws.p, solver.ws.w, len(found.u)
-    path, end = ipopt._boxes(t.path_boxes, t.nx + t.nu), ipopt._boxes(t.terminal_boxes, t.nx)
+    path, end = ipopt._boxes(t.path.barriers, t.nx + t.nu), ipopt._boxes(t.end.barriers, t.nx)
     cost, gaps = float(t.values["terminal"](found.x[n], p[n], w) + end(found.x[n])), 0.0
     for k, h in enumerate(np.diff(found.times)):
         z = np.concatenate([found.x[k], found.u[k]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,7 @@ _spec = importlib.util.spec_from_file_location("regression", Path(__file__).pare
 assert _spec is not None and _spec.loader is not None
 regression = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(regression)
-FAST, FULL, differences, key, main = (
-    regression.FAST, regression.FULL, regression.differences, regression.key, regression.main,
-)  # fmt: skip
+FAST, differences, key, main = regression.FAST, regression.differences, regression.key, regression.main
 
 RUN = {
     "exit": 0,
@@ -52,9 +51,17 @@ def test_an_outcome_differs_before_its_metrics() -> None:
     assert [line.split(":")[0] for line in differences(RUN, fell)][:3] == ["exit", "completed", "reason"]
 
 
-@pytest.mark.parametrize(("name", "settings"), FAST + FULL)
+@pytest.mark.parametrize(("name", "settings"), regression.all_cases())
 def test_every_case_is_one_that_can_be_run(name: str, settings: tuple[str, ...]) -> None:
     check_taken(name, settings)
+
+
+def test_every_experiment_has_a_case_with_its_defaults() -> None:
+    """Truth: the entry points of the distribution."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    offered = set(project["entry-points"]["wbmpc.experiments"])
+    assert offered <= {name for name, settings in regression.all_cases() if not settings}
+    assert len(set(regression.all_cases())) == len(regression.all_cases())
 
 
 def test_recording_goes_on_and_comparing_finds_what_changed(

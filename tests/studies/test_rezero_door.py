@@ -179,7 +179,7 @@ def test_what_the_sensor_does_not_measure_ends_the_push(phase: str, touching: bo
     """Forces of the momentum observer, 0.5 s of them from 1 s on; patience until 3 s. 5.4 N were pushed for 3.6 s unnoticed."""
     controller = control.DoorController.__new__(control.DoorController)
     controller.phase, controller.period, controller.door, controller.monitor = phase, 0.0025, np.zeros(2), None
-    controller.lean_control = None
+    controller.learned = SimpleNamespace(lean_control=None)  # type: ignore[assignment]
     controller.push = SimpleNamespace(begin=0.5, give_up=3.0, open=1.0)  # type: ignore[assignment]
     controller.contact = SimpleNamespace(touching=touching)  # type: ignore[assignment]
     controller.geometry = SimpleNamespace(directions=lambda angle: (np.zeros(3), np.array([1.0, 0.0, 0.0])))  # type: ignore[assignment]

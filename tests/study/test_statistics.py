@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from wbmpc.log import Log
+from wbmpc.result import Metric, RunResult
 from wbmpc.study import page
 from wbmpc.study import summary as summary_module
+from wbmpc.study.rows import check_rows
 from wbmpc.study.statistics import failure_rate, interval, paired, spread
-from wbmpc.study.summary import Cell, Summary
+from wbmpc.study.store import _unified, parquet, table_of
+from wbmpc.study.summary import Cell, Summary, summarize
+from wbmpc.study.work import _row
 
 
 def test_order_statistics_are_values_and_infinity_is_one() -> None:
@@ -103,11 +110,36 @@ def test_a_larger_smallest_distance_is_better_and_last_digits_are_no_difference(
     near, far, same = cells(
         {"clearance_min": [0.1, 0.2]}, {"clearance_min": [0.2, 0.3]}, {"clearance_min": [0.1 + 1e-9, 0.2]}
     )
-    summary = Summary("t", (near, far, same), {}, {}, {"e": ("clearance_min",)}, 6, {}, {})
+    summary = Summary("t", (near, far, same), {}, {}, {"e": ("clearance_min",)}, 6, {}, {}, "", ("clearance_min",))
     found = [summary.comparison(cell, "clearance_min") for cell in (far, same)]
     assert [c and c.text for c in found] == ["better", "no difference"] and summary.spread(
         far, "clearance_min"
     ).worst == 0.2
+
+
+def test_a_metric_says_itself_that_small_values_are_bad_and_its_name_does_not(tmp_path: Path) -> None:
+    """Through the rows and files of a study. A cost may be called ``cost_min``."""
+    log = Log()
+    log.add("x", 0.0, [1.0])
+    metrics = {
+        "reach": Metric(1.0, "m", larger_is_better=True),
+        "cost_min": Metric(1.0, "1"),
+        "load": Metric(2.0, "N", least=1.0),
+    }
+    row = {"key": "a-0", "experiment": "e", "seed": 0, **_row(RunResult("e", 0, True, "", metrics, None, log))}
+    check_rows(tmp_path, [row])
+    parquet().write_table(_unified_table(row), tmp_path / "rows.parquet")
+    combination: Any = SimpleNamespace(key="a", experiment="e", label="", condition="", robot="", varied={}, accept=())
+    found = summarize("t", [combination], parquet().read_table(tmp_path / "rows.parquet"), 1)
+    (cell,) = found.cells
+    assert [found.large_is_bad(cell, name) for name in metrics] == [False, True, False]
+    assert found.units == {"reach": "m", "cost_min": "1", "load": "N"}
+
+
+def _unified_table(row: dict[str, Any]) -> Any:
+    """A row in the columns of it and of a run without metrics, as parts of a study are put together."""
+    parts = [table_of([row]), table_of([{"key": "a-1", "experiment": "e", "outcome": "rejected"}])]
+    return parts[0].cast(_unified([part.schema for part in parts]))
 
 
 def test_a_count_that_is_the_same_in_all_runs_is_not_drawn(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def to_equal_residual(
 
 def _child(queue: Any, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     silence = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):  # some peers print whatever they are reported
+    for stream in (1, 2):  # some peers print whatever their settings say
         os.dup2(silence, stream)
     try:
         queue.put(function(*arguments))

@@ -121,14 +121,14 @@ class Stages:
     def cost(self) -> ca.Function:
         """h (cost + barriers)."""
         t = self.t
-        value = t.values["cost"](*self.symbols[:4]) + _barrier(t.path_boxes, t.z)[0]
+        value = t.values["cost"](*self.symbols[:4]) + _barrier(t.path.barriers, t.z)[0]
         return self._function("stage_cost", [t.h * value])
 
     def quadratic(self) -> ca.Function:
         """Gradient (nz) and Gauss-Newton Hessian (upper triangle) of the cost."""
         t = self.t
         _, gradient, hessian = t.derivatives["cost_quadratic"](*self.symbols)
-        _, slope, curve = _barrier(t.path_boxes, t.z)
+        _, slope, curve = _barrier(t.path.barriers, t.z)
         return self._function("stage_quadratic", [gradient + t.h * slope, ca.triu(hessian + t.h * ca.diag(curve))])
 
     def constraint(self) -> ca.Function:
@@ -174,7 +174,7 @@ class Stages:
         """Terminal cost of (x, p, w); its gradient and Hessian."""
         t = self.t
         arguments = [t.x, t.p, t.w]
-        value, slope, curve = _barrier(t.terminal_boxes, t.x)
+        value, slope, curve = _barrier(t.end.barriers, t.x)
         _, gradient, hessian = t.derivatives["terminal_quadratic"](*arguments)
         quadratic = ca.cse([gradient + slope, ca.triu(hessian + ca.diag(curve))])
         cost = ca.Function("end_cost", arguments, [t.values["terminal"](*arguments) + value])

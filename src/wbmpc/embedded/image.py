@@ -21,6 +21,7 @@ from wbmpc.mpc.clearance import BARRIER_SHARE, BRAKING_SOLVES, FIRST_BARRIER
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import ModeSchedule, Reference
+from wbmpc.ocp.parameters import mode_tables
 from wbmpc.ocp.schedule import Mode
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver.controller import Count, Value
@@ -179,7 +180,7 @@ def make_image(mpc: MPC, samples: int) -> Image:
     widths = [part.stop - part.start for part in problem.references.slices.values()]
     constants = {
         "settings": solver.numbers, "limits": rows.limits.table, "rows": rows.table, "switches": rows.switches,
-        "follow": follow, "modes": _filled(problem.mode_tables(ModeSchedule(tuple(modes), tuple(range(len(modes) - 1))))),
+        "follow": follow, "modes": _filled(mode_tables(problem, ModeSchedule(tuple(modes), tuple(range(len(modes) - 1))))),
         "groups": _filled(np.array([(p.start, p.stop - p.start) for _, p in groups], dtype=np.int64)),
         "capacities": _filled(np.array([_capacity(mpc, name, samples) for name in slots], dtype=np.int64)),
     }  # fmt: skip
@@ -236,7 +237,7 @@ def _tables(mpc: MPC, samples: int, modes: list[Mode]) -> Tables:
     most = ModeSchedule((modes[0],) * (events + 1), tuple(range(events)))
     tables = make_tables(solver.problem, room, most)
     own = solver.schedule
-    head = np.concatenate([own.events, solver.problem.mode_tables(own).ravel()])
+    head = np.concatenate([own.events, mode_tables(solver.problem, own).ravel()])
     tables.numbers[: head.size], tables.integers[1] = head, len(own.events)
     for slot, name in enumerate(room):
         known: Any = solver.references.get(name, Reference.constant(np.zeros(room[name].values.shape[1])))

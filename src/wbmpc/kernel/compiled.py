@@ -31,6 +31,7 @@ from wbmpc.kernel.sparse_rows import (
     hessian_entry,
 )
 from wbmpc.ocp import Transcription
+from wbmpc.ocp.stage_costs import term_values
 
 #: Functions of one node: for roll-outs, the end of the horizon, jumps and second derivatives.
 _SINGLE = (
@@ -239,7 +240,7 @@ def unsupported(transcription: Transcription) -> str:
     stages = (("path", "term"), ("terminal", "terminal term"))
     pieces = {"the dynamics": transcription.rates, "the jump": transcription.jump}
     for stage, kind in stages:
-        pieces |= {f"{kind} '{name}'": value for name, value in transcription.term_values(stage).items()}
+        pieces |= {f"{kind} '{name}'": value for name, value in term_values(transcription, stage).items()}
     symbols = [transcription.x, transcription.u, transcription.p, transcription.w]
     for name, expression in pieces.items():
         bad = unsupported_operation(ca.Function("piece", symbols, [expression]))

@@ -11,6 +11,7 @@ from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, NotFinite
 from wbmpc.logs import RateLimit
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem
+from wbmpc.ocp.input_rows import nonlinear_rows
 from wbmpc.ocp.problem import check_problem
 from wbmpc.solver import SQP, Solver, Status
 from wbmpc.solver.events import one_jump
@@ -85,7 +86,7 @@ def check_settings(ocp: OptimalControlProblem, settings: SQP) -> None:
 def check_limits(solver: Solver, rates: Iterable[str]) -> None:
     """Raise :class:`InputError` for a hard row of inputs that no policy can hold. The terms named in ``rates`` limit how fast inputs
     change; they count for plans alone, because a policy does not know the last command."""
-    rows = solver.problem.unclipped_input_rows()
+    rows = nonlinear_rows(solver.problem)
     unheld = [row for row in rows if not any(row.startswith(f"{name}.") for name in rates)]
     if unheld:
         raise InputError(

@@ -8,6 +8,7 @@ import numpy as np
 
 from wbmpc.kernel.step import Step, bind
 from wbmpc.mpc.policy import InputLimits
+from wbmpc.ocp.input_rows import input_bounds, input_planes
 from wbmpc.solver import Solver
 
 if TYPE_CHECKING:
@@ -20,8 +21,8 @@ class InputRows:
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
-        self.planes = planes = solver.problem.input_planes()
-        self.limits = InputLimits(*solver.problem.input_bounds(), planes.matrix, planes.offset)
+        self.planes = planes = input_planes(solver.problem)
+        self.limits = InputLimits(*input_bounds(solver.problem), planes.matrix, planes.offset)
         first = solver.problem.node.slices["switch"].start
         self.switches = np.append(np.where(planes.switches >= 0, planes.switches + first, -1), -1).astype(np.int64)
         self.table = np.concatenate([planes.by_node.ravel(), planes.by_constant.ravel(), np.zeros(1)])

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from wbmpc.ocp.stage_costs import cost_parts, stage_cost
+
 if TYPE_CHECKING:
     from wbmpc.ocp.transcription import Transcription
 
@@ -40,7 +42,7 @@ def _quadratic(t: Transcription, stage: str, z: ca.SX) -> tuple[ca.SX, ca.SX, ca
     """Value, gradient and Gauss-Newton Hessian (upper triangle with a full diagonal) by z."""
     n = z.shape[0]
     value, gradient, hessian = ca.SX(0), ca.SX(n, 1), ca.SX(n, n)
-    for r, v, g, c in t.pieces(stage):
+    for r, v, g, c in cost_parts(t, stage):
         jacobian = ca.jacobian(r, z)
         value += ca.sum1(v)
         gradient += jacobian.T @ g
@@ -79,8 +81,8 @@ def exact_derivatives(t: Transcription) -> dict[str, ca.Function]:
     not; ``end_lagrangian`` the same at the end; ``dynamics_hessian`` (…, h, a): of aᵀ f."""
     args, at_end = [t.x, t.u, t.p, t.w, t.h], [t.x, t.p, t.w]
     nu, kappa, last, adjoint = _multipliers(t)
-    path = t.h * (t.value("path") + ca.dot(kappa, t.path.expression())) + ca.dot(nu, t.equality)
-    end = t.value("terminal") + ca.dot(last, t.end.expression())
+    path = t.h * (stage_cost(t, "path") + ca.dot(kappa, t.path.expression())) + ca.dot(nu, t.equality)
+    end = stage_cost(t, "terminal") + ca.dot(last, t.end.expression())
     more = lambda f, z, gauss_newton: ca.triu(ca.hessian(f, z)[0]) - gauss_newton
     path_more = more(path, t.z, t.h * _quadratic(t, "path", t.z)[2])
     end_more = more(end, t.x, _quadratic(t, "terminal", t.x)[2])
@@ -93,7 +95,7 @@ def exact_derivatives(t: Transcription) -> dict[str, ca.Function]:
 
 
 def _curvature(t: Transcription, nu: ca.SX, kappa: ca.SX) -> list[ca.SX]:
-    """[Hessian of νᵀ equalities + h κᵀ rows by the inputs, upper triangle in the size of z]; empty where none is curved."""
+    """[Hessian of νᵀ equalities + h κᵀ rows by the inputs, upper triangle in the size of z]; empty where all are linear in them."""
     if not t.second:
         return []
     rows = t.h * ca.dot(kappa, t.path.expression()) + ca.dot(nu, t.equality)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from wbmpc.ocp.constraint_classification import Kind, RowGroup, single_variables
+from wbmpc.ocp.constraint_classification import Kind, single_variables
+
+if TYPE_CHECKING:
+    from wbmpc.ocp.transcription import Transcription
 
 
-def input_bounds(group: RowGroup, x: ca.SX, u: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+def input_bounds(t: Transcription) -> tuple[np.ndarray, np.ndarray]:
     """(lower, upper) (nu): what hard rows of one input alone allow it in all modes; infinite where there is none."""
-    nx, z = x.shape[0], ca.vertcat(x, u)
+    group, nx, z = t.path, t.nx, t.z
     hard = [(r.variable, r.sign, r.offset) for r in group.boxes if r.kind is Kind.HARD] + group.fixed
     for expression, row in zip(group.expressions, group.general, strict=True):
-        if row.kind is Kind.HARD and not ca.depends_on(expression, x):
+        if row.kind is Kind.HARD and not ca.depends_on(expression, t.x):
             hard += single_variables(expression, z) or []
-    lower, upper = np.full(u.shape[0], -np.inf), np.full(u.shape[0], np.inf)
+    lower, upper = np.full(t.nu, -np.inf), np.full(t.nu, np.inf)
     for index, slope, offset in hard:  # slope z + offset ≥ 0
         i, bound = index - nx, -offset / slope
         if i >= 0 and slope > 0.0:
@@ -47,14 +50,14 @@ class InputPlanes(NamedTuple):
         return bool(self.by_node.any() or self.by_constant.any())
 
 
-def input_planes(group: RowGroup, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[ca.SX]) -> InputPlanes:
-    """The rows that are straight in the inputs and in the parameters p and w, and depend on nothing else but ``switches``, elements
-    of p, one for each term with modes."""
-    every = ca.vertcat(u, p, w)
-    ends = np.cumsum([u.shape[0], p.shape[0], w.shape[0]])
+def input_planes(t: Transcription) -> InputPlanes:
+    """Hard rows of inputs alone beyond :func:`input_bounds`, of several inputs, and of single ones in some modes only or around a reference:
+    those that are linear in the inputs and in the parameters p and w, and depend on nothing else but one switch."""
+    every, switches = ca.vertcat(t.u, t.p, t.w), t.switches
+    ends = np.cumsum([t.nu, t.node.size, t.constant.size])
     found: list[tuple[np.ndarray, float, int]] = []
-    for h, row in zip(group.expressions, group.general, strict=True):
-        if row.kind is not Kind.HARD or row.state_only or ca.depends_on(h, x):
+    for h, row in zip(t.path.expressions, t.path.general, strict=True):
+        if row.kind is not Kind.HARD or row.state_only or ca.depends_on(h, t.x):
             continue
         own, straight = _in_its_mode(h, every, switches)
         if straight is None:
@@ -68,12 +71,12 @@ def input_planes(group: RowGroup, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, switch
     return InputPlanes(matrix, offsets, by_node, by_constant, switched)
 
 
-def nonlinear_rows(group: RowGroup, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX, switches: list[ca.SX]) -> list[str]:
-    """Names of the hard rows that depend on inputs and not on states ``x``, and are not among :func:`input_planes`, since they are
+def nonlinear_rows(t: Transcription) -> list[str]:
+    """Names of the hard rows that depend on inputs and not on states, and are not among :func:`input_planes`, since they are
     not linear in the inputs or in what moves them: nothing says by numbers alone how far an input may go."""
-    every, found = ca.vertcat(u, p, w), []
-    for h, row in zip(group.expressions, group.general, strict=True):
-        alone = row.kind is Kind.HARD and not row.state_only and not ca.depends_on(h, x)
+    every, switches, found = ca.vertcat(t.u, t.p, t.w), t.switches, []
+    for h, row in zip(t.path.expressions, t.path.general, strict=True):
+        alone = row.kind is Kind.HARD and not row.state_only and not ca.depends_on(h, t.x)
         if alone and _in_its_mode(h, every, switches)[1] is None:
             found.append(row.name)
     return found
@@ -87,7 +90,7 @@ def _in_its_mode(h: ca.SX, every: ca.SX, switches: list[ca.SX]) -> tuple[list[in
 
 
 def _straight(h: ca.SX, z: ca.SX) -> tuple[np.ndarray, float] | None:
-    """(slope, offset) of a row h = slope z + offset; None if it is curved, or depends on anything else."""
+    """(slope, offset) of a row h = slope z + offset; None if it is nonlinear, or depends on anything else."""
     slope = ca.simplify(ca.jacobian(h, z))
     offset = ca.substitute(h, z, ca.DM.zeros(z.shape[0]))
     if ca.symvar(slope) or ca.symvar(offset):

@@ -11,6 +11,7 @@ import numpy as np
 from wbmpc.ocp.constraint_classification import missed, row_scales
 from wbmpc.ocp.problem import OptimalControlProblem
 from wbmpc.ocp.residuals import Expression, Symbols
+from wbmpc.ocp.term_rows import with_input
 from wbmpc.ocp.terms import Constraint, Cost
 from wbmpc.ocp.transcription import Transcription
 
@@ -31,7 +32,7 @@ def violation_problem(problem: Transcription, rows: Mapping[str, np.ndarray]) ->
         term = problem.ocp.terms[name]
         assert isinstance(term, Constraint)
         for at in parts:
-            there = chosen & ~problem.with_input(term) if at == "terminal" else chosen
+            there = chosen & ~with_input(problem, term) if at == "terminal" else chosen
             if term.at in (at, "path+terminal") and there.any():
                 ocp.add(Cost(f"{name}, {at}", _misses(term, there), at=at, modes=term.modes))
     return ocp

@@ -22,7 +22,7 @@ def export(
 ) -> list[Path]:  # fmt: skip
     """Write ``topics`` (all when left out) as ``form``: csv or parquet, a file each; npz, one archive. Returns the files.
 
-    ``check`` is reported the files before any is written, and may reject.
+    ``check`` gets the files before any is written, and may reject them.
     """
     if form not in FORMS:
         raise unknown_name("format", form, FORMS)

@@ -23,6 +23,7 @@ from wbmpc.errors import InputError
 from wbmpc.model.augment import WithPath
 from wbmpc.mpc.policy import InputLimits, Policy
 from wbmpc.ocp import OptimalControlProblem, Transcription
+from wbmpc.ocp.input_rows import input_planes
 
 SLOTS = 4
 #: Whether stores become visible in the order of the program.
@@ -178,7 +179,7 @@ class Sizes:
         own = (d.state.size, d.input.size, ocp.intervals, d.parameters.size)
         if not hard:
             return cls(*own)
-        planes = (transcription or Transcription(ocp)).input_planes()
+        planes = input_planes(transcription or Transcription(ocp))
         return cls(*own, planes.offset.size, planes.move)
 
     def observation(self) -> Fields:

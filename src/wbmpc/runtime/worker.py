@@ -136,7 +136,7 @@ class Worker:
         self.policies.commit()
 
     def _count_limit_violations(self) -> None:
-        """PolicyQueue whose states are outside hard limits are used, and reported."""
+        """Policies whose states are outside hard limits are used, and reported."""
         share, board = self.mpc.limit_violation, self.board
         assert self._message is not None
         if share > 0.0:

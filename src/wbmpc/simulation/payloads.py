@@ -1,5 +1,5 @@
-"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor, cables on it. They are not reported to the
-planner."""
+"""What a robot carries and where it stands: masses at the tool and on the body, a sloping floor, cables on it. The planner knows of
+none."""
 
 from __future__ import annotations
 

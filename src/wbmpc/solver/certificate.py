@@ -14,6 +14,8 @@ import numpy as np
 
 from wbmpc.ocp import AugmentedLagrangian, Constraint, Transcription
 from wbmpc.ocp.constraint_classification import Kind, row_names
+from wbmpc.ocp.stage_costs import term_values
+from wbmpc.ocp.term_rows import violation, with_input, with_state
 from wbmpc.solver.memory_layout import StateField
 from wbmpc.solver.workspace import Workspace
 
@@ -37,19 +39,19 @@ def must_hold(problem: Transcription, term: Any) -> bool:
     the Riccati recursion): no problem is infeasible because of them."""
     if isinstance(term.penalty, AugmentedLagrangian) or not term.equality:
         return term.hard or isinstance(term.penalty, AugmentedLagrangian)
-    return term.softness == 0.0 or term.at == "terminal" or not problem.with_input(term).all()
+    return term.softness == 0.0 or term.at == "terminal" or not with_input(problem, term).all()
 
 
 def gives_way(problem: Transcription, term: Any) -> bool:
     """Whether a constraint is a hard limit with an L1 slack in all of its rows (those of inputs alone have none): whatever the start, there
     is a solution that misses it."""
     soft = _rows_that_give_way(problem, term)
-    return bool(soft.any() and (soft | ~problem.with_state(term)).all())
+    return bool(soft.any() and (soft | ~with_state(problem, term)).all())
 
 
 def _rows_that_give_way(problem: Transcription, term: Any) -> np.ndarray:
     """Which rows of a constraint have an L1 slack: rows of inputs alone have none."""
-    alone = problem.with_input(term) & ~problem.with_state(term)
+    alone = with_input(problem, term) & ~with_state(problem, term)
     return np.asarray(np.isfinite(term.slacks) & ~alone & (term.hard and not term.equality))
 
 
@@ -71,7 +73,7 @@ class Checks:
         self.path = [t for t in terms if t.at != "terminal"]
         self.end = [t for t in terms if t.at != "path"]
         args = [problem.x, problem.u, problem.p, problem.w]
-        broken = lambda chosen: [problem.broken(t) for t in chosen]
+        broken = lambda chosen: [violation(problem, t) for t in chosen]
         self._path = ca.Function("path", args, [ca.densify(e) for e in broken(self.path)])
         self._gradients: dict[str, ca.Function] = {}
         self._end = ca.Function("end", args, [ca.densify(e) for e in broken(self.end)])
@@ -88,11 +90,11 @@ class Checks:
         last = self._end.call([x[n], nothing, p[n], w]) if self.end else []
         for term, values in zip(self.path, along, strict=True):
             table = np.array(ca.DM(values)).reshape(term.residual.size, n)
-            table[~self.problem.with_input(term), 0] = 0.0
+            table[~with_input(self.problem, term), 0] = 0.0
             self._keep(found, term, table, 0, rows)
         for term, values in zip(self.end, last, strict=True):
             table = np.array(ca.DM(values)).reshape(term.residual.size, 1)
-            table[self.problem.with_input(term)] = 0.0
+            table[with_input(self.problem, term)] = 0.0
             self._keep(found, term, table, n, rows)
         return found
 
@@ -295,7 +297,7 @@ def _state_jacobian(problem: Transcription, ws: Workspace, k: int) -> np.ndarray
 def unweighted_inputs(problem: Transcription) -> list[str]:
     """Inputs that no term of the path depends on: nothing but the motion says what they should be."""
     seen = np.zeros(problem.nu, bool)
-    for value in problem.term_values("path").values():
+    for value in term_values(problem, "path").values():
         seen |= np.array([ca.depends_on(value, problem.u[i]) for i in range(problem.nu)])
     return [n for n, yes in zip(problem.ocp.dynamics.input.names, seen, strict=True) if not yes]
 
@@ -334,8 +336,8 @@ def _pieces(problem: Transcription) -> Mapping[str, ca.Function]:
     second = lambda e: [ca.densify(ca.hessian(ca.sum1(e), z)[0])] if problem.exact else []
     make = lambda e: ca.Function("piece", args, [ca.densify(e), ca.densify(ca.jacobian(e, z)), *second(e)])
     pieces = {DYNAMICS: make(problem.rates)}
-    for name, value in problem.term_values("path").items():
+    for name, value in term_values(problem, "path").items():
         pieces[f"term '{name}'"] = make(value)
-    for name, value in problem.term_values("terminal").items():
+    for name, value in term_values(problem, "terminal").items():
         pieces[f"terminal term '{name}'"] = make(value)
     return pieces

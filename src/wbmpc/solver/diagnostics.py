@@ -11,6 +11,7 @@ import numpy as np
 from wbmpc.ocp import Constraint, Transcription
 from wbmpc.ocp.constraint_classification import fixed, row_names
 from wbmpc.ocp.sets import Box
+from wbmpc.ocp.term_rows import nonlinear_in_the_inputs, with_state
 from wbmpc.solver import certificate
 from wbmpc.solver.certificate import Violation, gives_way, must_hold
 from wbmpc.solver.infeasibility import Finding, least_violation
@@ -70,7 +71,7 @@ def _no_curvature(solver: Solver) -> str:
 def _can_contradict(problem: Transcription) -> bool:
     """Whether anything that must be met depends on states. Where nothing does, a motion of the model closes all gaps."""
     terms = [t for t in problem.ocp.terms.values() if isinstance(t, Constraint) and must_hold(problem, t)]
-    return any(problem.with_state(t).any() and not gives_way(problem, t) for t in terms)
+    return any(with_state(problem, t).any() and not gives_way(problem, t) for t in terms)
 
 
 def _missed(solver: Solver, violations: dict[str, Violation]) -> Violation | None:
@@ -181,7 +182,7 @@ def _nonlinear_hint(solver: Solver, missed: Violation | None) -> str:
 
     Steps on its linearization are too long, which is no sign that it cannot be met.
     """
-    terms = solver.problem.bent_terms()
+    terms = nonlinear_in_the_inputs(solver.problem)
     if missed is None or missed.row.split(".")[0] not in terms:
         return ""
     hint = "more iterations or another guess" if solver.hessian.exact else 'hessian="exact"'

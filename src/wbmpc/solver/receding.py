@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wbmpc.ocp import ModeSchedule, Reference, Transcription
+from wbmpc.ocp.parameters import mode_tables
 from wbmpc.solver.compilation import LANES, LIBRARY, Floats, Integers, compiled
 from wbmpc.solver.driver import solve
 from wbmpc.solver.inequality_table import entry, node_rows
@@ -70,7 +71,7 @@ class TableAddresses:
 
 def make_tables(problem: Transcription, references: Mapping[str, Reference], schedule: ModeSchedule) -> Tables:
     """Flat tables of all references (by term name) and of the mode schedule."""
-    modes = problem.mode_tables(schedule)
+    modes = mode_tables(problem, schedule)
     parts = [np.array(schedule.events, float), modes.ravel()]
     start = sum(p.size for p in parts)
     head = [0, len(schedule.events), modes.shape[1], problem.node.slices["mode"].start]

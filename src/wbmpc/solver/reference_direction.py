@@ -9,6 +9,7 @@ import numpy as np
 
 from wbmpc.model.numeric import Numeric
 from wbmpc.ocp import Transcription
+from wbmpc.ocp.parameters import default_weights
 from wbmpc.ocp.transcription import MIN_SOFTNESS
 from wbmpc.solver.reference_inequalities import RowState
 from wbmpc.solver.reference_nonlinear_inputs import curvature
@@ -70,11 +71,11 @@ class InterpretedDirections:
         self.problem = problem
         n, nx, nu = problem.ocp.intervals, problem.nx, problem.nu
         self.ws = SimpleNamespace(
-            grid=problem.ocp.grid.copy(), x=np.zeros((n + 1, nx)), u=np.zeros((n, nu)), w=problem.default_weights(),
+            grid=problem.ocp.grid.copy(), x=np.zeros((n + 1, nx)), u=np.zeros((n, nu)), w=default_weights(problem),
             p=np.zeros((n + 1, max(problem.node.size, 1))), k=np.zeros((n, nu, nx)), state=np.zeros(STATE_SIZE),
             rows_h=np.zeros((n + 1, max(len(problem.path.rows), len(problem.end.rows), 1))),
         )  # fmt: skip
-        self.path, self.end = box_table(problem.path_boxes), box_table(problem.terminal_boxes)
+        self.path, self.end = box_table(problem.path.barriers), box_table(problem.end.barriers)
         self.values, self.derivatives = (
             {name: Numeric(f) for name, f in functions.items()} for functions in (problem.values, problem.derivatives)
         )

@@ -19,6 +19,7 @@ from wbmpc.checks import absolute_time, not_negative, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.model.numeric import Reentrant
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
+from wbmpc.ocp.parameters import check_schedule, mode_tables
 from wbmpc.ocp.problem import check_problem
 from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
@@ -148,8 +149,8 @@ class Solver(SolverResults):
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """Set the modes over absolute time."""
-        self.problem.mode_tables(schedule)
-        self.problem.check_schedule(schedule)
+        mode_tables(self.problem, schedule)
+        check_schedule(self.problem, schedule)
         with self.exclusive:
             self.schedule, self._tables, self._changes = schedule, None, self._changes + 1
 
@@ -227,7 +228,7 @@ class Solver(SolverResults):
                 if getattr(term.residual, "reference_required", False) and name not in self.references:
                     raise InputError(f"term '{name}': its reference (a pose) is not set")
             if self.schedule is DEFAULT:
-                self.problem.check_schedule(DEFAULT)
+                check_schedule(self.problem, DEFAULT)
             changes = self._changes
             made = make_tables(self.problem, self.references, self.schedule)
             if changes == self._changes:  # else a signal's handler has set what they do not have

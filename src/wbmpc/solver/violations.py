@@ -37,7 +37,7 @@ def violation_message(solver: Solver, status: Status) -> str:
 
 
 def _equality_message(solver: Solver) -> str:
-    names, row = solver.problem.equality_names(), int(solver.ws.state[StateField.EQUALITY_ROW])
+    names, row = solver.problem.equalities.names, int(solver.ws.state[StateField.EQUALITY_ROW])
     by = f"by {100.0 * solver.ws.state[StateField.EQUALITY_RESIDUAL]:.3g} % of the row's size"
     if row < len(names):
         return f"{names[row]} {by}, at the first input"

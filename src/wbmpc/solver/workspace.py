@@ -17,6 +17,7 @@ from wbmpc.kernel.ir import LANES
 from wbmpc.kernel.sizes import Sizes
 from wbmpc.ocp import Transcription
 from wbmpc.ocp.constraint_classification import BoxRow, Kind, Row
+from wbmpc.ocp.parameters import default_weights
 
 #: Columns of the iteration log.
 LOG = (
@@ -246,7 +247,7 @@ def _lane_shapes(s: Sizes, parameters: int, rk4: bool) -> dict[str, tuple[int, .
 
 def _shapes(kernel: Kernel, problem: Transcription) -> dict[str, tuple[int, ...]]:
     s, n = kernel.sizes, problem.ocp.intervals
-    barriers = len(problem.path_boxes) + len(problem.terminal_boxes)
+    barriers = len(problem.path.barriers) + len(problem.end.barriers)
     jacobian = (s.nx, s.lz)
     path, end = pad(len(problem.path.rows)), pad(len(problem.end.rows))
     rows = max(path, end, 1)
@@ -339,9 +340,9 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
     view["ab"][:, s.nx, s.nx] = 1.0
     view["dx"][:, s.nx] = 1.0
     view["eps"][: s.ng] = problem.softness + 1e-14
-    weights = problem.default_weights()
+    weights = default_weights(problem)
     view["w"][: weights.size] = weights
-    boxes = box_table([*problem.path_boxes, *problem.terminal_boxes])
+    boxes = box_table([*problem.path.barriers, *problem.end.barriers])
     if boxes.variable.size:
         view["boxes"][:] = np.stack(boxes[1:], axis=1)
     rows = [*_filled(problem.path.rows), *_filled(problem.end.rows)]
@@ -349,7 +350,7 @@ def make_workspace(kernel: Kernel, problem: Transcription) -> Workspace:
     quaternions = list(problem.ocp.dynamics.unit_quaternions)
     dimensions = [
         problem.ocp.intervals, s.nx, s.nu, s.ng, s.lx, s.lz, s.lg, shapes["p"][1], problem.ocp.integrator == "rk4",
-        len(problem.path_boxes), len(problem.terminal_boxes), len(quaternions), memory.ctypes.data,
+        len(problem.path.barriers), len(problem.end.barriers), len(quaternions), memory.ctypes.data,
         len(problem.path.boxes), len(problem.path.general), s.row_entries, len(problem.end.boxes), len(problem.end.general),
         shapes["rows_h"][1], pad(len(problem.path.rows)), len(rows), problem.jumps, problem.ocp.align_events, problem.exact, 0,
         problem.nonlinear_input_rows, problem.nonlinear_equalities, problem.soft_equalities, any(r.kind != Kind.HARD for r in rows),

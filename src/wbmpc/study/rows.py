@@ -24,6 +24,7 @@ class _Target(BaseModel):
 
 class _About(_Target):
     unit: str
+    larger_is_better: bool = False
 
 
 class _Row(BaseModel):

@@ -36,6 +36,8 @@ _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC
 _OF_RUN = ("key", "experiment", "outcome")
 #: Where a file's metadata has goals and papers' figures of metrics, by combination.
 TARGETS = "targets"
+#: Metadata of a metric's column whose small values are the bad ones.
+LARGER = {"larger_is_better": "yes"}
 Targets = dict[str, dict[str, dict[str, float | None]]]
 _TEXTS = (
     "key", "experiment", "condition", "robot", "outcome", "reason", "started", "version", "commit", "code", "host",
@@ -324,7 +326,7 @@ def _unified(schemas: list[Any]) -> Any:
 
 
 def table_of(rows: list[dict[str, Any]]) -> pyarrow.Table:
-    """Rows as columns: ``set.KEY`` for what is varied, ``metric.NAME`` with the unit in the field's metadata."""
+    """Rows as columns: ``set.KEY`` for what is varied, ``metric.NAME`` with the unit, and :data:`LARGER`, in the field's metadata."""
     import pyarrow
 
     columns: dict[str, tuple[Any, Any, dict[str, str]]] = {}
@@ -344,9 +346,10 @@ def table_of(rows: list[dict[str, Any]]) -> pyarrow.Table:
         made = [v if v is None or numeric or isinstance(v, str) else json.dumps(v) for v in values]
         columns[f"set.{key}"] = (pyarrow.float64() if numeric else pyarrow.string(), made, {})
     for name in _names(rows, "metrics"):
-        unit = next(row["about"][name]["unit"] for row in rows if name in row.get("metrics", {}))
+        about = next(row["about"][name] for row in rows if name in row.get("metrics", {}))
         values = [row.get("metrics", {}).get(name) for row in rows]
-        columns[f"metric.{name}"] = (pyarrow.float64(), values, {"unit": unit})
+        larger = LARGER if about.get("larger_is_better") else {}
+        columns[f"metric.{name}"] = (pyarrow.float64(), values, {"unit": about["unit"], **larger})
     fields = [pyarrow.field(name, kind, metadata=about) for name, (kind, _, about) in columns.items()]
     arrays = [pyarrow.array(values, kind) for kind, values, _ in columns.values()]
     targets: Targets = {}

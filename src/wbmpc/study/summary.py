@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -13,7 +12,7 @@ import numpy as np
 
 from wbmpc.result import metrics_of_interest
 from wbmpc.study.statistics import Paired, Rate, Spread, failure_rate, paired, spread
-from wbmpc.study.store import Targets, combination_of, targets_of
+from wbmpc.study.store import LARGER, Targets, combination_of, targets_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -85,11 +84,9 @@ class Summary:
         return self.targets.get(cell.key, {}).get(metric, _NONE)
 
     def large_is_bad(self, cell: Cell, metric: str) -> bool:
-        """Whether large values are bad: not those of ``larger_is_better``, nor those whose only goal is a minimum, nor smallest distances
-        and loads without a goal."""
+        """Whether large values are bad: not those of ``larger_is_better``, nor those whose only goal is a minimum."""
         target = self.target(cell, metric)
-        smallest = target["least"] is not None or re.search("_min(_|$)", metric)
-        return metric not in self.larger_is_better and (not smallest or target["goal"] is not None)
+        return metric not in self.larger_is_better and (target["least"] is None or target["goal"] is not None)
 
     def _judged(self, cell: Cell, metric: str) -> np.ndarray:
         """Values (n,) of a metric; nan where a run that is a success has none, and no goal asks for it: an arm has no base."""
@@ -174,9 +171,11 @@ def summarize(
     title: str, combinations: Sequence[Combination], table: pyarrow.Table, planned: int, metrics: Sequence[str] = (),
     compare_with: str = "", larger_is_better: Sequence[str] = (),
 ) -> Summary:  # fmt: skip
-    """Of a study's table. ``metrics``: those that are shown (when empty: those of interest)."""
+    """Of a study's table. ``metrics``: those that are shown (when empty: those of interest). ``larger_is_better``: beside those that
+    say so themselves."""
     columns = [name for name in table.column_names if name.startswith("metric.")]
-    units = {n.removeprefix("metric."): _unit(table.schema.field(n)) for n in columns}
+    fields = {n.removeprefix("metric."): table.schema.field(n) for n in columns}
+    units = {n: _metadata(field).get("unit", "1") for n, field in fields.items()}
     keys, outcomes = table["key"].to_pylist(), np.array(table["outcome"].to_pylist(), dtype=object)
     groups: dict[str, list[int]] = {}
     for k, key in enumerate(keys):
@@ -204,7 +203,7 @@ def summarize(
     first = next(iter(dict.fromkeys(c.condition for c in cells)), "")
     return Summary(
         title, tuple(cells), units, targets, shown, planned, lost, sources, compare_with or first,
-        tuple(larger_is_better),
+        (*larger_is_better, *(n for n, field in fields.items() if LARGER.items() <= _metadata(field).items())),
     )  # fmt: skip
 
 
@@ -218,8 +217,8 @@ def _shown(cells: Sequence[Cell], targets: Targets, units: Mapping[str, str], ch
     return tuple(metrics_of_interest(there, judged))
 
 
-def _unit(column: Any) -> str:
-    return (column.metadata or {}).get(b"unit", b"1").decode()
+def _metadata(column: Any) -> dict[str, str]:
+    return {key.decode(): value.decode() for key, value in (column.metadata or {}).items()}
 
 
 def _numbers(column: Any) -> np.ndarray:

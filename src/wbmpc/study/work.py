@@ -24,6 +24,8 @@ from wbmpc.study.plan import assignments, open_experiment, settings_of
 
 #: Outcomes without a result, which a study that goes on tries again: an error of the program, a worker that died.
 ERROR, LOST = "error", "lost"
+#: What a row says of each metric beside its value.
+ABOUT_METRIC = ("unit", "paper", "goal", "least", "larger_is_better")
 #: Bytes of a run's recording, at most.
 RECORD_LIMIT = 500_000_000
 #: Packages that change no figure of an experiment.
@@ -118,7 +120,7 @@ def _row(result: RunResult) -> dict[str, Any]:
         "outcome": result.outcome,
         "reason": result.reason,
         "metrics": {name: float(m.value) for name, m in metrics},
-        "about": {name: {"unit": m.unit, "paper": m.paper, "goal": m.goal, "least": m.least} for name, m in metrics},
+        "about": {name: {key: getattr(m, key) for key in ABOUT_METRIC} for name, m in metrics},
     }
     if result.mpc is not None:
         solve = {f"solve_ms_{k}": float(v) for k, v in result.mpc.solve_ms.items()}

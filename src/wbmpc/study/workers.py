@@ -29,7 +29,7 @@ _NO_PAGES = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
 RETRIES = 2
 #: How long [s] a scheduler may be silent, at first and while runs go on.
 SILENCE = 30.0
-#: How often [s] a cluster of this machine is looked at while its workers work, and how long [s] one of them may be gone before another takes
+#: How often [s] a cluster of this machine is checked while its workers work, and how long [s] one of them may be gone before another takes
 #: its place: a process that ends while it starts is not started again by Dask.
 _LOOK, GONE = 0.5, 30.0
 _THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}

@@ -12,7 +12,7 @@ from wbmpc.obstacles.geometry import has_shapes
 from wbmpc.obstacles.pairs import self_pairs
 from wbmpc.ocp.clearance_residuals import SelfClearance
 
-#: Poses along a path that are looked at; how near [m] the end effector has to come; what a rotation counts [m/rad].
+#: Poses along a path that are checked; how near [m] the end effector has to come; what a rotation counts [m/rad].
 POSES, THERE, LEVER = 40, 1e-3, 0.2
 #: The same of arms of fewer joints than a pose has numbers: they go where they shall and turn as they can.
 NUMBERS, WEAK = 6, 1e-3

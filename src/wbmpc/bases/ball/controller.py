@@ -8,22 +8,18 @@ from operator import mul
 
 import numpy as np
 
-from wbmpc.bases.ball.disturbance import DisturbanceObserver
 from wbmpc.bases.ball.estimator import BallEstimator
 from wbmpc.bases.ball.fall_detection import FallPredictor, stop_for
-from wbmpc.bases.ball.lean_control import LeanControl
+from wbmpc.bases.ball.learned_forces import LearnedForces
 from wbmpc.bases.ball.messages import BallCommand, BallMeasurement
-from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.model_steps import Learning, ModelSteps
-from wbmpc.bases.ball.payload import PayloadEstimator
-from wbmpc.bases.ball.push import PushEstimator
 from wbmpc.bases.ball.self_contact import SelfContact
 from wbmpc.bases.ball.sensor_faults import BallReadings, EncoderMonitor
 from wbmpc.bases.ball.sent_torques import DriveSettings, SentTorques
 from wbmpc.bases.ball.torque_limits import TorqueLimits
 from wbmpc.checks import numbers, positive
 from wbmpc.control.monitor import Fault, Monitor, found_by
-from wbmpc.errors import NotFinite, SensorFailure
+from wbmpc.errors import SensorFailure
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
@@ -32,9 +28,6 @@ from wbmpc.types import Observation
 
 #: A torque that differs from the target by less than this share of its limit was not cut.
 _ROUNDING = 1e-9
-#: Innovations of the base's speeds beyond which a force is a push, and no disturbance to learn: of the ball along x and y [m/s], of yaw, pitch
-#: and roll [rad/s].
-GATE = (0.06, 0.06, 0.25, 0.12, 0.12)
 
 
 class BallController:
@@ -45,8 +38,7 @@ class BallController:
     state from the sensors (left out: the measurement's own, idealized one). ``fall_predictor``: ends the run when the plans, or the lean
     that is felt, say that the robot will fall. Raises :class:`InputError` for numbers that cannot be.
     ``monitor``: of the encoders, the first of ``monitors``, where there is an estimator; without what the state needs of them the run ends.
-    ``push_estimator``: detects pushes, for which the limit of the lean leaves room (None: it does not). ``lean_control``: lets the robot lean
-    against forces that it has learned (None: as if there were none).
+    ``learned``: what it believes of forces.
     """
 
     def __init__(
@@ -61,19 +53,7 @@ class BallController:
         self._spin, self._rates = self.limits.spin.tolist(), robot.state["arm_velocity"]
         self._cut = _ROUNDING * self.limits.limit
         self.sent = SentTorques(torque, period, drives)
-        self.observer: DisturbanceObserver | None = None
-        if observer:
-            self.observer = DisturbanceObserver(
-                self._step, ball_base(robot).numeric.mass_matrix, ball_base(robot).nq, np.array(GATE)
-            )
-        self.disturbance = np.zeros(ball_base(robot).nq)
-        self.payload = (
-            PayloadEstimator(ball_base(robot).numeric.tool_weight)
-            if observer and "payload" in robot.parameters
-            else None
-        )
-        self.push_estimator: PushEstimator | None = None
-        self.lean_control: LeanControl | None = None
+        self.learned = LearnedForces(robot, self._step, observer)
         self.measured: BallMeasurement | None = None
         self.monitor: EncoderMonitor | None = None
         if estimator is not None:
@@ -84,9 +64,6 @@ class BallController:
         self._found: list[Fault] = []
         self._accelerates: np.ndarray | None = None  # the arm, by the model, until the next measurement [rad/s²]
         self._steps_of: tuple[object, object, object, object, ModelSteps | None] | None = None  # of which parts
-        self._leant: tuple[object, object, Sequence[float]] | None = (
-            None  # at which measurement, under which disturbance
-        )
         self._steps_alike = type(self)._step is BallController._step
         self._own_parameters = type(self).parameters is BallController.parameters
         self._own_law = type(self)._law is BallController._law
@@ -102,7 +79,8 @@ class BallController:
         """The model in compiled steps; None where a subclass has one of its own, or the solver's is not compiled."""
         if not self._steps_alike:
             return None
-        a, b, c, d = self.observer, self.payload, self.lean_control, self.fall_predictor
+        learned, d = self.learned, self.fall_predictor
+        a, b, c = learned.observer, learned.payload, learned.lean_control
         known = self._steps_of
         if known is None or known[0] is not a or known[1] is not b or known[2] is not c or known[3] is not d:
             own = (self.mpc.solver, self.limits, self.sent, self.period, Learning(a, b, c, d))
@@ -133,14 +111,14 @@ class BallController:
             measurement = m.with_state(state)
         self.measured = measurement
         self._monitor_encoders(m.time, m.arm, self.period)
-        self._detect_pushes(measurement.state, self.period)
+        self._detect_pushes(self.period)
         self._observe(measurement)
         if self.fall_predictor is not None:
-            m, component = measurement, self._leans()[4:]
+            m, component = measurement, self.learned.leans(measurement)[4:]
             if component:
                 stop_for(self.fall_predictor.judge(m.time, math.hypot(*component)))
             else:
-                more = self._carried(), self._pushed(), self._answered()
+                more = self.learned.carried, self._pushed(), self.learned.shift(m)
                 stop_for(self.fall_predictor.update(m.time, m.state, *more))
 
     def _monitor_encoders(self, t: float, arm: np.ndarray, h: float) -> None:
@@ -174,105 +152,36 @@ class BallController:
     @property
     def faults(self) -> list[Fault]:
         """What was found of the encoders, and of forces that push the robot away."""
-        push_fault = None if self.lean_control is None else self.lean_control.push_fault
+        lean_control = self.learned.lean_control
+        push_fault = None if lean_control is None else lean_control.push_fault
         return [*self._found, *filter(None, [push_fault])]
-
-    def _carried(self) -> float:
-        """The mass [kg] that the end effector is believed to hold."""
-        return 0.0 if self.payload is None else self.payload.mass
 
     def _pushed(self) -> Sequence[float] | np.ndarray:
         """The estimated horizontal force (2) [N] at the end effector; a subclass that has one has a model of its own."""
         return (0.0, 0.0)
 
-    def _leans(self) -> Sequence[float]:
-        """:meth:`LeanControl.leans` (4) [m] under the learned disturbance; the lean's component (2) [m], where it is known too."""
-        known, measured, control = self._leant, self.measured, self.lean_control
-        if control is None or measured is None:
-            return (0.0,) * 4
-        if known is None or known[0] is not measured or known[1] is not self.disturbance:
-            leans = control.leans(self.disturbance, float(measured.state[2]))
-            self._leant = known = measured, self.disturbance, leans
-        return known[2]
-
-    def _answered(self) -> Sequence[float]:
-        """By how much (2) [m] the lean's divergent component counts like more than it is, under the learned disturbance."""
-        return self._leans()[:2]
-
-    def _detect_pushes(self, x: np.ndarray, h: float) -> None:
-        """Estimate a push from the state x, ``h`` [s] after the one before."""
-        if self.push_estimator is not None:
-            self.push_estimator.update(x, self._acted(), h, self._step)
+    def _detect_pushes(self, h: float) -> None:
+        """Estimate a push from the state that is measured, ``h`` [s] after the one before."""
+        assert self.measured is not None
+        if self.learned.push_estimator is not None:
+            self.learned.detect_push(self.measured.state, self.sent.acted(self._late()), h)
 
     def _observe(self, measurement: BallMeasurement) -> None:
-        if self.observer is None and self.push_estimator is None:
+        learned = self.learned
+        if learned.observer is None and learned.push_estimator is None:
             return
-        m, forwards = measurement, self._own_parameters
-        if self.observer is None or not self._learn(m.time, m.state, self.period, forwards):
+        forwards = self._own_parameters
+        if learned.observer is None or not learned.learn(measurement, self.period, self.sent, self._steps, forwards):
             self.mpc.solver.set_parameters(self.parameters())
-
-    def _learn(self, t: float, x: np.ndarray, h: float, forwards: bool = False) -> bool:
-        """Disturbance and payload from the state x at time t [s], ``h`` [s] after the one before. Whether the solver has got them, as
-        they have to be if this ``forwards`` them."""
-        observer, steps, forwarded = self.observer, self._steps, False
-        assert observer is not None
-        if steps is not None:
-            pushed = (0.0, 0.0) if self.push_estimator is None else self.push_estimator.lean_margin
-            leans, forwarded = steps.learn(t, x, self.sent.at(self._late()), h, forwards, pushed)
-        else:
-            observer.update(t, x, self._acted(), h)
-            if self.payload is not None:
-                self.payload.observe(x[: observer.size], observer.arrays, observer.learning, h)
-        self.disturbance = observer.force
-        if not forwarded:
-            self._finite(self.disturbance)
-        if steps is not None:
-            self._leant = self.measured, self.disturbance, leans
-        if self.lean_control is not None:
-            self.lean_control.check(t, self.disturbance, x, self._leans())
-        return forwarded
-
-    def _finite(self, disturbance: np.ndarray) -> np.ndarray:
-        if not np.isfinite(disturbance).all():
-            raise NotFinite(f"the estimated disturbance is not finite{self._too_fast()}")
-        return disturbance
-
-    def _too_fast(self) -> str:
-        """The arm's joint that is believed to turn farthest beyond its limit, for there the model has no answer in the end;
-        empty if none does."""
-        assert self.measured is not None
-        speeds = np.abs(self.measured.state[self._rates])
-        limits = self.robot.limits.state_upper[self._rates]
-        i = int(np.argmax(speeds / limits))
-        name, push_fault = (
-            self.robot.state.groups["arm"][i],
-            f"{speeds[i]:.0f} rad/s, and its limit is {limits[i]:g} rad/s",
-        )
-        return f": {name} is believed to turn at {push_fault}" if speeds[i] > limits[i] else ""
 
     def parameters(self) -> dict[str, np.ndarray]:
         """The model's parameters by group, as they are believed now."""
-        own = {"disturbance": self.disturbance}
-        if self.push_estimator is not None or self.lean_control is not None:
-            own["push"] = np.array(self._room())
-        return own if self.payload is None else {**own, "payload": np.array([self.payload.mass])}
-
-    def _room(self) -> Sequence[float]:
-        """What (2) [m] the limit of the lean counts beside the lean: detected pushes, estimated forces."""
-        pushed = (0.0, 0.0) if self.push_estimator is None else self.push_estimator.lean_margin
-        if self.lean_control is None or self.measured is None:
-            return pushed
-        x, y = self.lean_control.center(self._leans(), float(self.measured.state[2]))
-        return pushed[0] + x, pushed[1] + y
+        return self.learned.parameters(self.measured)
 
     def _late(self) -> int:
         """By how many ticks the measurement is late; one from before all torques that are known counts as from the first."""
         assert self.measured is not None
         return self.sent.ticks(self.measured.age)
-
-    def _acted(self) -> np.ndarray:
-        """The torques (n + m) that acted at the measurement."""
-        return self.sent.acted(self._late())
 
     def _turning(self, age: float) -> float:
         """The torque [N m] about the vertical with which the wheels turned the ball ``age`` [s] ago."""
@@ -315,7 +224,7 @@ class BallController:
         """Torques at the predicted present state."""
         fall_predictor, plan = self.fall_predictor, plans.current
         if fall_predictor is not None and plan is not None and plan is not fall_predictor.seen:
-            stop_for(fall_predictor.update_plan(plan, self._carried(), self._answered()))
+            stop_for(fall_predictor.update_plan(plan, self.learned.carried, self.learned.shift(self.measured)))
         now, measured, found = t + self.sent.dead * self.period, self.measured, None
         steps = self._steps if self._own_law else None
         if steps is not None and plan is not None and measured is not None:

@@ -94,9 +94,9 @@ class BusBallController(BallController):
             raise FallPredicted(f"{fallen}; motors off")
         if self._moves(message):
             self._monitor_encoders(message.time, message.arm, interval or self.period)
-            self._detect_pushes(state, interval or self.period)
-            if self.observer is not None:
-                self._learn(message.now, state, interval or self.period)
+            self._detect_pushes(interval or self.period)
+            if self.learned.observer is not None and self.measured is not None:
+                self.learned.learn(self.measured, interval or self.period, self.sent, self._steps)
         self.mpc.solver.set_parameters(self.parameters())
 
     def _estimate(self, m: BallMessage, age: float, turning: float) -> Array:
@@ -127,7 +127,7 @@ class BusBallController(BallController):
 
     def parameters(self) -> dict[str, Array]:
         """An announced moment counts as the generalized forces that it is for the robot as it stands now."""
-        force, moment, disturbance = self.answer[:3], self.answer[3:], self.disturbance
+        force, moment, disturbance = self.answer[:3], self.answer[3:], self.learned.disturbance
         if moment.any():
             assert self.measured is not None
             disturbance = disturbance + ball_base(self.robot).numeric.tool_moment(
@@ -260,8 +260,8 @@ class BallRosAdapter(BaseAdapter):
             isinstance(s.disturbance, PushedDisturbance),
             estimator,
         )
-        controller.fix, controller.answer, controller.push_estimator = self.fix, self._answer, self._push
-        controller.lean_control = self._lean_control
+        controller.fix, controller.answer = self.fix, self._answer
+        controller.learned.push_estimator, controller.learned.lean_control = self._push, self._lean_control
         if self._push is not None:
             self._push.reset()
         if self._lean_control is not None:

@@ -33,5 +33,5 @@ def make_controller(robot: RobotModel, mpc: MPC, period: float) -> BallControlle
     arm = robot.home[robot.state["arm"]]
     _, torque = ball_base(robot).numeric.equilibrium(arm)
     controller = BallController(robot, mpc, torque, period, DriveSettings(ACTUATOR_TIME_CONSTANT))
-    controller.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
+    controller.learned.lean_control = LeanControl(robot, arm, STEPS_AND_PUSHES.lean, PUSHED_SPEED)
     return controller

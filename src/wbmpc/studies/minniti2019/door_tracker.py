@@ -34,7 +34,7 @@ from wbmpc.studies.minniti2019.grip import SPEED_TIME, GripEstimator
 from wbmpc.studies.minniti2019.momentum import SensorlessForce
 
 _LOG = logging.getLogger("wbmpc")
-#: Least and largest impedance that the optimizer is reported (inertia, damping, resistance).
+#: Least and largest impedance that the optimizer is given (inertia, damping, resistance).
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
 #: How long [s] the force fades when the door is open.
 RELAX = 0.8
@@ -140,7 +140,7 @@ class DoorTracker(BallController):
         assert self.measured is not None
         motion = self._end_effector(self.measured.state)
         acted = self.sent.acted(self._late())
-        self.sensorless.update(self.measured.state, acted, self.period, self._carried())
+        self.sensorless.update(self.measured.state, acted, self.period, self.learned.carried)
         if measurement.time < self.push.begin:
             self.sensorless.observer.zero()
         self._compare(measurement.time)

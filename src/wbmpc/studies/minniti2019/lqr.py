@@ -141,7 +141,7 @@ class LqrController(BallController):
     def _law(self, t: float, x: Array, policy: Policy | None, acts: bool = False) -> tuple[Array, Array]:
         n = ball_base(self.robot).nq
         target, torque = self._equilibrium(t)
-        shift = self._shift @ self.disturbance  # as the MPC's, its rest is that under the estimated disturbance
+        shift = self._shift @ self.learned.disturbance  # as the MPC's, its rest is that under the estimated disturbance
         error, torque = x - target, torque + shift[2:]
         error[3:5] -= shift[:2]
         error[:2] *= min(1.0, self.maximum / max(float(np.hypot(*error[:2])), 1e-9))

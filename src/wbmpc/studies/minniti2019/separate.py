@@ -1,6 +1,6 @@
 """The paper's baseline: base and arm controlled by themselves (Minniti et al. 2019, section IV-C), and what can be added to it.
 
-A base MPC that is reported only of ball and base and takes the arm to stand still in its nominal configuration; a joint-level PID
+A base MPC that knows only ball and base and assumes that the arm stands still in its nominal configuration; a joint-level PID
 for the arm, whose goal is the inverse kinematics of the end effector's task at the present pose of the base. Two things may be added:
 the disturbance observer on the base's rows (integral action: an arm that has moved is a constant tilting moment for it), and the
 arm's motion in the base MPC's prediction (its moving center of mass and its reaction, fed forward).
@@ -15,8 +15,9 @@ import casadi as ca
 import numpy as np
 
 from wbmpc.arrays import Array
-from wbmpc.bases.ball.controller import GATE, BallController
+from wbmpc.bases.ball.controller import BallController
 from wbmpc.bases.ball.disturbance import DisturbanceObserver
+from wbmpc.bases.ball.learned_forces import GATE
 from wbmpc.bases.ball.messages import BallMeasurement
 from wbmpc.bases.ball.model import ball_base
 from wbmpc.bases.ball.sent_torques import DriveSettings
@@ -34,7 +35,8 @@ from wbmpc.types import Observation
 FAR, DAMPING = (0.1, 0.3), 10.0
 
 
-def _short(vector: Array, limit: float) -> Array:
+def shortened(vector: Array, limit: float) -> Array:
+    """The ``vector``, or one of the same direction that is ``limit`` long where it is longer."""
     return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-12))
 
 
@@ -65,7 +67,7 @@ class EndEffectorInverse:
         for _ in range(steps):
             x[self._arm] = found
             error, slope = self._error(x, pose)
-            error[:3], error[3:] = _short(error[:3], FAR[0]), _short(error[3:], FAR[1])
+            error[:3], error[3:] = shortened(error[:3], FAR[0]), shortened(error[3:], FAR[1])
             rows = self._root[:, None] * slope
             normal = rows.T @ rows + (self._posture + DAMPING) * np.eye(found.size)
             right = rows.T @ (self._root * error.ravel()) + self._posture * (found - rest)
@@ -117,7 +119,7 @@ class SeparateController(BallController):
         if observer:
             wheels = robot.input["wheel"]
             step = lambda x, u, h: planner.solver.simulate(x, u[wheels], h)
-            self.observer = DisturbanceObserver(step, self._base_mass, n, np.array(GATE))
+            self.learned.observer = DisturbanceObserver(step, self._base_mass, n, np.array(GATE))
 
     def _base_mass(self, q: Array) -> Array:
         """M with the base's columns alone: how the arm moves is no innovation."""
@@ -135,13 +137,13 @@ class SeparateController(BallController):
 
     def _observe(self, measurement: BallMeasurement) -> None:
         self._aim(measurement.time, measurement.state)
-        if self.observer is not None:
+        learned, x = self.learned, measurement.state
+        if learned.observer is not None:
             past = self.sent.acted(self._late())
-            self.disturbance = self._finite(
-                self.observer.update(measurement.time, self.believed(measurement.state), past, self.period)
-            )
+            found = learned.observer.update(measurement.time, self.believed(x), past, self.period)
+            learned.disturbance = learned.finite(found, x)
         self.planner.solver.set_parameters({
-            "disturbance": self.disturbance[:5],
+            "disturbance": learned.disturbance[:5],
             "goal": self._goal if self.aware else self._nominal[self._part], "pace": np.array([self.loop.pace]),
         })  # fmt: skip
 
@@ -161,7 +163,7 @@ class SeparateController(BallController):
         return np.concatenate([policy.feedforward(t), weight]), np.concatenate([policy.law(t, believed), arm])
 
     def predict(self, t: float, until: float, plans: PolicyQueue) -> Observation:
-        """What the base MPC is reported at time ``until``; its references are those of the whole robot."""
+        """What the base MPC knows at time ``until``; its references are those of the whole robot."""
         self.planner.reference["body"] = self.mpc.reference["body"]
         there = super().predict(t, until, plans)
         return Observation(there.t, self.believed(there.x))

@@ -190,9 +190,9 @@ def task_scenario(
         robot = controller.robot
         if isinstance(chosen.disturbance, MpcDisturbance):
             speed = chosen.disturbance.max_pushed_speed
-            controller.lean_control = LeanControl(robot, task.arm, chosen.cost.lean, speed)
+            controller.learned.lean_control = LeanControl(robot, task.arm, chosen.cost.lean, speed)
         if isinstance(chosen.estimator, PushFilter) and chosen.estimator.expected_push_time > 0.0:
-            controller.push_estimator = PushEstimator(robot, task.arm, chosen.estimator.expected_push_time)
+            controller.learned.push_estimator = PushEstimator(robot, task.arm, chosen.estimator.expected_push_time)
         joints = JointRecord(log, robot, System(plant, controller, system.mpc, system.timing))
     rows, ticks = RezeroRecord(log, plant, controller), count()
 
@@ -222,7 +222,7 @@ class RezeroRecord:
     def __init__(self, log: Log, plant: BallPlant, controller: BallController) -> None:
         self._controller, robot = controller, controller.robot
         others: dict[str, int | None] = {"torque": controller.torque.size, "disturbance": ball_base(robot).nq}
-        if controller.payload is not None:
+        if controller.learned.payload is not None:
             others["payload"] = None
         if controller.estimator is not None:
             others["rolling_fault"] = None
@@ -233,9 +233,9 @@ class RezeroRecord:
     def add(self, t: float, torque: np.ndarray) -> None:
         """A row at time t [s], with the ``torque`` (nu) of the drives [N m]."""
         values, controller = self._record.values, self._controller
-        values["torque"][:], values["disturbance"][:] = torque, controller.disturbance
-        if controller.payload is not None:
-            values["payload"][0] = controller.payload.mass
+        values["torque"][:], values["disturbance"][:] = torque, controller.learned.disturbance
+        if controller.learned.payload is not None:
+            values["payload"][0] = controller.learned.payload.mass
         if controller.estimator is None:
             self._record.add(t)
             return

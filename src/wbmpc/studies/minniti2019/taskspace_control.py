@@ -23,6 +23,7 @@ from wbmpc.model.numeric import Numeric
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
+from wbmpc.studies.minniti2019.separate import shortened
 
 #: t [s] -> the end effector's position (3) [m] and quaternion (4) that are wanted.
 Goal = Callable[[float], tuple[Array, Array]]
@@ -95,7 +96,7 @@ class TaskSpaceController(BallController):
         n, g = ball_base(self.robot).nq, self.gains
         place, turned, velocity, jacobian, drift, map_, bias = self._model["now"](x)
         mass = ball_base(self.robot).numeric.mass_matrix(x[:n])
-        free = np.linalg.solve(mass, self.disturbance - bias.ravel())
+        free = np.linalg.solve(mass, self.learned.disturbance - bias.ravel())
         drive = np.linalg.solve(mass, map_)
         target = self._hand(t, place.ravel(), turned.ravel(), velocity.ravel()) - drift.ravel()
         rows = [jacobian @ drive, np.sqrt(g.balance) * drive[:5], np.sqrt(g.torque) * np.eye(drive.shape[1])]
@@ -112,9 +113,9 @@ class TaskSpaceController(BallController):
         """Wanted linear and angular acceleration (6) of the end effector."""
         g = self.gains
         position, quaternion = self.goal(t)
-        error = _short(position - place, g.position_limit)
+        error = shortened(position - place, g.position_limit)
         turn = lie.quaternion_log(lie.quaternion_multiply(quaternion, lie.quaternion_conjugate(turned)))
-        turn = _short(np.asarray(turn, float).ravel(), g.turn_limit)
+        turn = shortened(np.asarray(turn, float).ravel(), g.turn_limit)
         linear = g.end_effector**2 * error - 2.0 * g.end_effector * velocity[:3]
         return np.concatenate([linear, g.turn**2 * turn - 2.0 * g.turn * velocity[3:]])
 
@@ -126,15 +127,11 @@ class TaskSpaceController(BallController):
         if self.stance is not None:
             ball, yaw = self.stance(t)[:2], self.stance(t)[2]
         lean = self.home[3:5] + self._lean @ (x[5:n] - self.home[5:n])
-        lean = lean + np.linalg.solve(self._stiffness, self.disturbance[3:5])
+        lean = lean + np.linalg.solve(self._stiffness, self.learned.disturbance[3:5])
         away = x[:5] - np.concatenate([ball, [yaw], lean])
-        away[:2] = _short(away[:2], self.gains.ball_limit)
+        away[:2] = shortened(away[:2], self.gains.ball_limit)
         target: Array = -self._gain @ np.concatenate([away, x[n : n + 5]])
         return target
-
-
-def _short(vector: Array, limit: float) -> Array:
-    return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-12))
 
 
 def _lean_of_arm(robot: RobotModel, home: Array) -> Array:

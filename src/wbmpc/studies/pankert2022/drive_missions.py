@@ -29,7 +29,7 @@ KNOCK, KNOCK_TORQUE, KNOCK_SPEED = np.radians(5.0), 150.0, 0.3
 class MissionSettings(DrivingSettings):
     """``leg_guard``: whether the brakes of open legs that move off their plan close."""
 
-    # by runs on seed 0, looked at on seed 5
+    # by runs on seed 0, checked on seed 5
     cost: SwerveCost = SwerveCost(
         end_effector=EndEffectorCost(weight=0.0, orientation=0.0),
         state=StateCost(position=30_000.0, yaw=9000.0, leg=300.0, arm=1.0),

@@ -87,7 +87,7 @@ def figures(log: Log, robot: RobotModel) -> dict[str, Metric]:
     return {
         "foot_error_rms": Metric(rms(off) if off.size else 0.0, "m", goal=FEET),
         "foot_error_end": Metric(float(np.linalg.norm(error[-1], axis=1).max()), "m"),
-        "stance_width_min": Metric(float(width.min()), "m"),
+        "stance_width_min": Metric(float(width.min()), "m", larger_is_better=True),
         "stance_width_max": Metric(float(width.max()), "m"),
     }
 

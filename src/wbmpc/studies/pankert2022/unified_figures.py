@@ -38,7 +38,7 @@ def metrics(log: Log, begin: float, free: bool, faults: int, held: int) -> dict[
         **in_both_frames("base_yaw_error_end", lambda e: largest(e[-1:]), yaw, "rad", goal=TURNED, note=REACH_NOTE),
         "base_travel": Metric(traveled(base), "m"),
         "support_margin_end": Metric(float(margins[-1, 0]), "m"),
-        "support_margin_min": Metric(float(margins[:, 0].min()), "m"),
+        "support_margin_min": Metric(float(margins[:, 0].min()), "m", larger_is_better=True),
         "wheel_slip_max": Metric(float(log.array("wheel_slip")[use].max()), "m/s"),
         "brake_faults": Metric(float(faults), "1", goal=0.0),
         "legs_held": Metric(float(held), "1"),
