@@ -22,13 +22,13 @@ from wbmpc.types import Observation
 
 def shifted(solver: Solver, delta: float) -> None:
     if solver.settings.backend == "interpreted":
-        solver.twin._shift(delta)
+        solver.twin._shift(solver._current_tables(), delta, delta)
         solver.twin._shift_multipliers(delta)
     else:
         tables = solver._current_tables()
         align(solver.ws.memory, solver.ws.table, *tables, 0.0)
         shift_multipliers(solver.ws.memory, solver.ws.table, delta)
-        shift(solver.ws.memory, solver.ws.table, delta)
+        shift(solver.ws.memory, solver.ws.table, *tables, delta, delta)
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])

@@ -112,6 +112,7 @@ class StateField(IntEnum):
     DIRECTIONS = 39
     TRIAL_POINTS = 40
     MIXED_VIOLATION_ROW = 41  # which of those with one is violated most
+    LEFT = 42  # whether, in real time, the last step was cut or μ is still raised: the next solve goes on from there
 
 
 class Setting(IntEnum):

@@ -31,7 +31,8 @@ class Thresholds:
     fall; ``steepest``: even products allow μ = 0 next, and this share of their power of 1.5 converges as fast. ``overshot``: what
     overshooting directions shorten a step to at least. ``corrections`` of a node's inputs at most: a circle takes five from three times its
     radius, rows at acute angles many; ``inside``: where they aim [units of the rows]. ``kept_slack``: share of a slack that a step leaves at
-    least: with 0.01 slacks jam near zero. ``min_slope`` of an equality by the inputs to divide by. ``stall_window``: iterations over which
+    least: with 0.01 slacks jam near zero. ``far_start``: a plan that starts farther from the measured state [1 + |x|] takes
+    more iterations. ``min_slope`` of an equality by the inputs to divide by. ``stall_window``: iterations over which
     the contraction is measured.
     """
 
@@ -57,6 +58,7 @@ class Thresholds:
     inside: float = 1e-6
     kept_slack: float = 0.1
     min_slope: float = 1e-3
+    far_start: float = 0.05
     stall_window: int = 25
 
 
