@@ -288,6 +288,13 @@ def accept_step(
 
 
 @compiled
+def most_iterations(s: Floats) -> tuple[int, int]:
+    """How many iterations there are at most: usually, and of plans that cannot be used as they are."""
+    asked, most = int(s[Setting.ITERATIONS]), int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS])
+    return min(2 * asked, most), most
+
+
+@compiled
 def extend_iterations(
     m: Floats, o: Integers, x0: Floats, s: Floats, cut: bool, hold: float, limit: int, most: tuple[int, int]
 ) -> int:
@@ -327,15 +334,14 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
 @compiled
 def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: int) -> tuple[int, int]:
     """As :func:`solve`, from the present iterate with its slacks and multipliers, after ``done`` steps."""
-    penalty, first, last_kkt, last_residual, size, it = 0.0, 1.0, np.inf, np.inf, 1.0, done
+    penalty, first, last_kkt, last_residual, size, it, other = 0.0, 1.0, np.inf, np.inf, 1.0, done, True
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
     level, last_mu = s[Setting.BARRIER], m[o[STATE] + StateField.BARRIER]
     bias = 0.0 if last_mu >= s[Setting.INITIAL_BARRIER] else np.inf
     state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
     restarts = s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0
     again = row_count(o) > 0 and (s[Setting.COMPUTE_KKT] > 0.0 or restarts) and s[Setting.SINGLE_SHOOTING] == 0.0
-    most, other = limit + int(s[Setting.MAX_EXTRA_ITERATIONS]), True
-    usual = min(2 * limit, most)
+    usual, most = most_iterations(s)
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -364,8 +370,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         if again and restart_from_rollout(m, o, x0, s, max(abs(cost), cost + slope + 0.5 * curvature)):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
-        jammed = m[state + StateField.MAX_PRIMAL_STEP] < THRESHOLDS.short
-        if jammed and it < (most if limit > usual else usual) and raise_barrier(m, o, s):
+        if it < (most if limit > usual else usual) and raise_barrier(m, o, s):
             limit, other = max(limit, it + 1), True
             continue
         drop = violation - m[state + StateField.REMAINING_VIOLATION]
