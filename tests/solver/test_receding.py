@@ -15,20 +15,27 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals, sets
 from wbmpc.solver import SQP, InteriorPoint, Solver, Status
-from wbmpc.solver.memory_layout import ROW_L, ROWS, N
+from wbmpc.solver.memory_layout import ROW_L, ROWS, N, StateField
 from wbmpc.solver.receding import align, make_tables, sample_all, shift, shift_multipliers
+from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
 
 
 def shifted(solver: Solver, delta: float) -> None:
+    """From 0 s."""
+    moved(solver, delta, delta)
+
+
+def moved(solver: Solver, t: float, delta: float) -> None:
+    """By ``delta`` to ``t`` [s]."""
     if solver.settings.backend == "interpreted":
-        solver.twin._shift(delta)
+        solver.twin._shift(solver._current_tables(), t, delta)
         solver.twin._shift_multipliers(delta)
     else:
         tables = solver._current_tables()
-        align(solver.ws.memory, solver.ws.table, *tables, 0.0)
+        align(solver.ws.memory, solver.ws.table, *tables, t)
         shift_multipliers(solver.ws.memory, solver.ws.table, delta)
-        shift(solver.ws.memory, solver.ws.table, delta)
+        shift(solver.ws.memory, solver.ws.table, *tables, t, delta)
 
 
 @pytest.mark.parametrize("backend", ["compiled", "interpreted"])
@@ -44,6 +51,28 @@ def test_shift_of_a_linear_trajectory(backend: str, delta: float) -> None:
     shifted(solver, delta)
     np.testing.assert_allclose(solver.ws.x, x(np.minimum(grid + delta, grid[-1])), atol=1e-12)
     np.testing.assert_allclose(solver.ws.u, u(np.minimum(middle + delta, middle[-1])), atol=1e-12)
+
+
+@pytest.mark.parametrize(("backend", "aligned"), [("compiled", False), ("compiled", True), ("interpreted", False)])
+def test_shift_does_not_mix_modes(backend: str, aligned: bool) -> None:
+    """Inputs that an equality of each mode fixes to its number are one of these numbers, where the grid follows events that of their mode."""
+    ocp = OptimalControlProblem(
+        ToyDynamics(1, 1, lambda x, u, w, m: u), 2.0, 20, first_interval=0.02, align_events=aligned, modes=("a", "b")
+    )
+    ocp.add(Cost("input", Rows(1, lambda s: s.u)))
+    solver = Solver(ocp, SQP.real_time(backend=backend))
+    events = np.array([0.31, 0.77, 1.6])
+    solver.set_schedule(ModeSchedule(tuple(Mode("ab"[k % 2]) for k in range(4)), tuple(events)))
+    of = lambda t: np.searchsorted(events, t + 1e-9, side="right").astype(float)
+    solver._run(np.zeros(1))
+    for k in range(1, 60):
+        t = 0.03 * k
+        solver.warm_start(np.zeros(1), of(t - 0.03 + solver.ws.grid[:-1])[:, None])
+        moved(solver, t, 0.03)
+        u = solver.ws.u[:, 0]
+        if aligned:
+            np.testing.assert_array_equal(u, of(t + solver.ws.grid[:-1]))
+        assert set(u) <= {0.0, 1.0, 2.0, 3.0}
 
 
 def test_shift_of_a_cubic_is_as_good_as_linear_interpolation() -> None:
@@ -292,6 +321,47 @@ def test_ticks_with_active_limits_take_one_iteration(barrier: float) -> None:
         assert abs(solver.ws.u[0] - found.u[0]) < 0.05 * 12.0, k
         saturated += abs(found.u[0, 0]) > 5.9
     assert saturated > 2
+
+
+def test_only_plans_that_cannot_be_used_take_more_than_twice_the_iterations() -> None:
+    """A trolley at its limits is pushed. Truth: the plan that the same solve has after twice the iterations, looked at by its limits and its
+    start; and the log, for those that leave the rest to the next solve."""
+    at_most_twice = InteriorPoint("real_time", max_extra_iterations=1)
+    solver, short = trolley(SQP.real_time()), trolley(SQP.real_time(interior_point=at_most_twice))
+    x, h, rng, longer, left = np.array([-1.0, 0.0]), float(solver.ws.grid[1]), np.random.default_rng(3), 0, 0
+    for k in range(400):
+        x = x + rng.normal(size=2) * [0.3, 1.0] * (k % 20 == 10)
+        short.ws.memory[:] = solver.ws.memory
+        short._run(x, k * h, h)
+        _, count = solver._run(x, k * h, h)
+        plan, alpha = short.trajectory(), solver.log[count - 1, COLUMNS["alpha"]]
+        start = np.max(np.abs(plan.x[0] - x) / (1.0 + np.abs(x)))
+        outside = max(np.abs(plan.u).max() / 6.0, np.abs(plan.x[1:, 1]).max() / 1.5) - 1.0
+        if solver.effort.directions > 2:
+            assert start > 0.05 or outside > 1e-3, k
+            longer += 1
+        elif solver.unfinished:
+            assert solver.effort.directions == 2 and start <= 0.05 and outside <= 2e-3, k
+            left += 1
+        if solver.unfinished:
+            assert alpha < 0.9 or solver.ws.state[StateField.BARRIER] > 1e-3, k
+        x = solver.simulate(x, solver.ws.u[0], h)
+    assert longer > 0 and left > 0
+
+
+def test_the_twin_takes_as_many_iterations() -> None:
+    """The same counts of a trolley that is pushed, in two programs."""
+    solvers, x, found = (
+        [trolley(SQP.real_time(backend=b)) for b in ("compiled", "interpreted")],
+        np.array([-1.0, 0.0]),
+        [],
+    )
+    h = float(solvers[0].ws.grid[1])
+    for k in range(30):
+        x = x + np.array([0.3, 2.5]) * (k == 5) + np.array([0.1, -1.2]) * (k == 15)
+        found.append([(s._run(x, k * h, h)[1], s.unfinished) for s in solvers])
+        x = solvers[0].simulate(x, solvers[0].ws.u[0], h)
+    assert all(one == other for one, other in found) and any(one[1] for one, _ in found)
 
 
 def test_one_iteration_a_tick_is_enough_beside_a_limit_of_the_rate() -> None:

@@ -15,7 +15,9 @@ class Statistics:
     ``worst_limit_violation_message``: which row; ``initial_state_mismatches``: plans that start elsewhere than in the
     observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`); ``braking_plans``:
     plans that were replaced by one that stops, before an obstacle; ``extended``: updates beside the first one that took more than twice
-    the iterations asked for, because limits cut their steps (``max_extra_iterations``) or a stop was planned.
+    the iterations asked for, because their plan could not be used before (``max_extra_iterations``) or a stop was planned;
+    ``unfinished``: updates beside the first one whose steps limits cut, after which the next one goes on: their plans hold the limits of
+    inputs, and start and meet equalities as nearly as all do, but are not as good yet.
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)
@@ -29,6 +31,7 @@ class Statistics:
     worst_initial_state_mismatch: float = 0.0
     braking_plans: int = 0
     extended: int = 0
+    unfinished: int = 0
 
     def count_limit_violation(self, share: float, where: str) -> None:
         """Count a plan whose states are outside hard limits by ``share`` of the range."""

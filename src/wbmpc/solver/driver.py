@@ -44,6 +44,7 @@ from wbmpc.solver.termination import (
     direction_status,
     met,
     misses_equality,
+    misses_start,
     status_at_iteration_limit,
 )
 from wbmpc.solver.workspace import LOG
@@ -98,7 +99,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
     m[state + StateField.START] = 0.0
-    m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS] = 0.0, 0.0
+    m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS], m[state + StateField.LEFT] = 0.0, 0.0, 0.0
     start_adaptive(m, state)
     forget_errors(m, o)
     # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
@@ -294,22 +295,32 @@ def accept_step(
 
 
 @compiled
-def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
-    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
-    There are more while μ is raised, too: a plan that keeps far from limits is a slow one.
+def most_iterations(s: Floats) -> tuple[int, int]:
+    """How many iterations there are at most: usually, and of plans that cannot be used as they are."""
+    asked, most = int(s[Setting.ITERATIONS]), int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS])
+    return min(2 * asked, most), most
+
+
+@compiled
+def extend_iterations(
+    m: Floats, o: Integers, x0: Floats, s: Floats, cut: bool, hold: float, limit: int, most: tuple[int, int]
+) -> int:
+    """How many iterations there are to be after the last of ``limit``: at most the first of ``most`` while its step was ``cut``, or while
+    μ is raised, since a plan that keeps far from limits is a slow one; the next solve goes on from there. Up to the second of ``most``
+    where the plan cannot be used as it is: inputs or states outside limits, an equality missed, a start far from ``x0``.
 
     Where inputs are still outside, a last one holds them within the rows."""
     state = o[STATE]
-    short = (
-        cut
-        or m[state + StateField.BARRIER] > s[Setting.BARRIER]
-        or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION])
-        > THRESHOLDS.limit_tolerance
-    )
-    if limit < int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS]) and (
-        short or misses_equality(m, o, s)
+    usual, largest = most
+    left = cut or m[state + StateField.BARRIER] > s[Setting.BARRIER]
+    if left and limit < usual:
+        return limit + 1
+    outside = max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION])
+    if limit < largest and (
+        outside > THRESHOLDS.limit_tolerance or misses_equality(m, o, s) or (cut and misses_start(m, o, x0))
     ):
         return limit + 1
+    m[state + StateField.LEFT] = s[Setting.KEEP_MULTIPLIERS] if left else 0.0
     if (
         m[state + StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance
         and s[Setting.KEEP_MULTIPLIERS] > 0.0
@@ -330,14 +341,14 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
 @compiled
 def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: int) -> tuple[int, int]:
     """As :func:`solve`, from the present iterate with its slacks and multipliers, after ``done`` steps."""
-    penalty, first, last_kkt, last_residual, size, it = 0.0, 1.0, np.inf, np.inf, 1.0, done
+    penalty, first, last_kkt, last_residual, size, it, other = 0.0, 1.0, np.inf, np.inf, 1.0, done, True
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
     level, last_mu = s[Setting.BARRIER], m[o[STATE] + StateField.BARRIER]
     bias = 0.0 if last_mu >= s[Setting.INITIAL_BARRIER] else np.inf
     state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
     restarts = s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0
     again = row_count(o) > 0 and (s[Setting.COMPUTE_KKT] > 0.0 or restarts) and s[Setting.SINGLE_SHOOTING] == 0.0
-    most, other = limit + int(s[Setting.MAX_EXTRA_ITERATIONS]), True
+    usual, most = most_iterations(s)
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -366,7 +377,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         if again and restart_from_rollout(m, o, x0, s, max(abs(cost), cost + slope + 0.5 * curvature)):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
-        if it < most and m[state + StateField.MAX_PRIMAL_STEP] < THRESHOLDS.short and raise_barrier(m, o, s):
+        if it < (most if limit > usual else usual) and raise_barrier(m, o, s):
             limit, other = max(limit, it + 1), True
             continue
         drop = violation - m[state + StateField.REMAINING_VIOLATION]
@@ -390,6 +401,6 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         if hold > 0.0:
             m[state + StateField.HOLD_INPUTS] = hold
         if it == limit:
-            limit = extend_iterations(m, o, s, alpha < 0.9 * first, hold, limit)
+            limit = extend_iterations(m, o, x0, s, alpha < 0.9 * first, hold, limit, (usual, most))
             hold = max(hold, m[state + StateField.HOLD_INPUTS])
     return status_at_iteration_limit(m, o, s, ITERATION_LIMIT), it

@@ -210,8 +210,16 @@ def sample_all(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: 
 
 
 @compiled
-def shift(m: Floats, o: Integers, delta: float) -> None:
-    """Move the trajectories ``delta`` [s] forward in time, from the old grid to the grid; the last values hold beyond it."""
+def mode_at(numbers: Floats, integers: Integers, t: float) -> int:
+    """Which mode of the schedule holds at time t [s]."""
+    return count_until(numbers, 0, integers[1], t + 1e-9)
+
+
+@compiled
+def shift(m: Floats, o: Integers, numbers: Floats, integers: Integers, t0: float, delta: float) -> None:
+    """Move the trajectories ``delta`` [s] forward in time to ``t0`` [s], from the old grid to the grid; the last values hold beyond it.
+
+    Inputs of different modes are not mixed: what an equality of one fixes would keep a share of what it was in the other."""
     n, nx, nu, lx, new, g = o[N], o[NX], o[NU], o[LX], o[GRID], o[GRID_OLD]
     i = 0
     for k in range(n + 1):
@@ -236,6 +244,9 @@ def shift(m: Floats, o: Integers, delta: float) -> None:
         if n > 1:
             low, high = 0.5 * (m[g + i] + m[g + i + 1]), 0.5 * (m[g + i + 1] + m[g + i + 2])
             a = min(max((t - low) / (high - low), 0.0), 1.0)
+            mode = mode_at(numbers, integers, t0 - delta + m[g + i])
+            if mode != mode_at(numbers, integers, t0 - delta + m[g + i + 1]):
+                a = 0.0 if mode == mode_at(numbers, integers, t0 + m[new + k]) else 1.0
         after = nu if n > 1 else 0
         u = o[U] + i * nu
         for c in range(nu):
@@ -284,7 +295,7 @@ def receding_solve(
     """Shift by ``delta``, sample at ``t0``, iterate: (status, steps done)."""
     align(m, o, numbers, integers, t0)
     if delta > 0.0:
-        shift(m, o, delta)
+        shift(m, o, numbers, integers, t0, delta)
         # contradictory limits show in multipliers that grow at their nodes
         if row_count(o) > 0 and o[MULTIPLIERS] == 0 and settings[Setting.KEEP_SLACKS] == 0.0:
             shift_multipliers(m, o, delta)

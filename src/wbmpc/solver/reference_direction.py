@@ -100,6 +100,22 @@ class InterpretedDirections:
             if j is not None:
                 j[part] = (j[part] - np.outer(x[part], x[part] @ j[part])) / norm
 
+    def _shift(self, tables: Any, t0: float, delta: float) -> None:
+        """As shift of the compiled solver."""
+        ws, events = self.ws, tables.numbers[: tables.integers[1]]
+        middle, old = 0.5 * (ws.grid[1:] + ws.grid[:-1]), ws.u.copy()
+        for array, times in ((ws.x, ws.grid), (ws.u, middle)):
+            array[:] = np.stack([np.interp(times + delta, times, c) for c in array.T], axis=1)
+        modes = [np.searchsorted(events, t + ws.grid[:-1] + 1e-9, side="right") for t in (t0 - delta, t0)]
+        last = len(middle) - 1
+        for k, t in enumerate(middle + delta):
+            i = min(max(int(np.searchsorted(middle, t, side="right")) - 1, 0), max(last - 1, 0))
+            after = min(i + 1, last)
+            if modes[0][i] != modes[0][after]:
+                ws.u[k] = old[i if modes[1][k] == modes[0][i] else after]
+        for row in ws.x:
+            self._normalize(row)
+
     def step(self, x: np.ndarray, u: np.ndarray, k: int, derivative: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """One Runge-Kutta step of interval k and its Jacobian by [x; u]."""
         h, nx = self.ws.grid[k + 1] - self.ws.grid[k], x.size

@@ -51,6 +51,12 @@ class _Progress:
     other: bool = True  # than the problem of the direction before
 
 
+def most_iterations(c: Any) -> tuple[int, int]:
+    """Usually, and of plans that cannot be used as they are."""
+    most = int(c.iterations) + int(c.max_extra_iterations)
+    return min(2 * int(c.iterations), most), most
+
+
 class InterpretedSolver(InterpretedLineSearch):
     """Runs what ``receding_solve`` runs, on the same fields x, u, p, w, k, grid of its ``ws``."""
 
@@ -73,12 +79,12 @@ class InterpretedSolver(InterpretedLineSearch):
             sample.python(tables.numbers, tables.integers, t0 + ws.grid[k], ws.p.ravel(), k * ws.p.shape[1])
         c = SimpleNamespace(**dict(zip(SETTINGS, settings.numbers(), strict=True)))
         if delta > 0.0:
-            self._shift(delta)
+            self._shift(tables, t0, delta)
             if not c.keep_slacks and all(rows.hard.all() for rows in self.own):
                 self._shift_multipliers(delta)
         self.mu, self.shift = max(c.initial_barrier, c.keep_multipliers * self.mu), 0.0
         start_adaptive.python(ws.state, 0)
-        ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
+        ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS, StateField.LEFT]] = 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
         self._start_rows_of_solve(x0, c)
@@ -204,7 +210,8 @@ class InterpretedSolver(InterpretedLineSearch):
         if run.again and self._restarts(x0, c, max(abs(cost), cost + s["slope"] + 0.5 * s["curvature"])):
             run.again, run.limit, run.last_kkt, run.first = False, run.limit + 1, np.inf, 1.0
             return None
-        if run.count < c.iterations + c.max_extra_iterations and self._raises_barrier(c):
+        usual, most = most_iterations(c)
+        if run.count < (most if run.limit > usual else usual) and self._raises_barrier(c):
             run.limit, run.other = max(run.limit, run.count + 1), True
             return None
         alpha, dual, primal = self._step_length(x0, s, c, cost, violation, kkt, run)
@@ -223,7 +230,7 @@ class InterpretedSolver(InterpretedLineSearch):
         self._settle_rows(c, (alpha, primal, dual), kkt, error, (product, residual, violation), run)
         self.policy, self.hold = True, run.hold
         row[4] = self.ws.state[StateField.LAST_STEP] = alpha
-        self._one_more(c, alpha, run)
+        self._one_more(c, x0, alpha, run)
         return None
 
     def _raises_barrier(self, c: Any) -> bool:
@@ -319,24 +326,21 @@ class InterpretedSolver(InterpretedLineSearch):
             if c.compute_kkt and not c.single_shooting:
                 run.penalty *= THRESHOLDS.kept_weight
 
-    def _one_more(self, c: Any, alpha: float, run: _Progress) -> None:
-        """Whether there is another iteration after what was to be the last one."""
+    def _one_more(self, c: Any, x0: np.ndarray, alpha: float, run: _Progress) -> None:
+        """Whether there is another iteration after what was to be the last one: as extend_iterations of the compiled solver."""
         if run.count < run.limit:
             return
         self._watch(c)
-        outside, maximum = (
-            self.ws.state[StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance,
-            int(c.iterations) + int(c.max_extra_iterations),
-        )
-        if run.limit < maximum and (
-            alpha < 0.9 * run.first
-            or self.mu > c.barrier
-            or outside
-            or self.ws.state[StateField.UNRELAXED_VIOLATION] > 0.0
-            or self._misses_equality(c)
-        ):
+        state, cut = self.ws.state, alpha < 0.9 * run.first
+        left, outside = cut or self.mu > c.barrier, state[StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance
+        unusable = outside or state[StateField.UNRELAXED_VIOLATION] > 0.0 or self._misses_equality(c)
+        unusable |= cut and np.max(np.abs(self.ws.x[0] - x0) / (1.0 + np.abs(x0))) > THRESHOLDS.far_start
+        usual, most = most_iterations(c)
+        if (left and run.limit < usual) or (unusable and run.limit < most):
             run.limit += 1
-        elif outside and c.keep_multipliers and run.hold == 0 and not self.problem.softness.size:
+            return
+        state[StateField.LEFT] = c.keep_multipliers if left else 0.0
+        if outside and c.keep_multipliers and run.hold == 0 and not self.problem.softness.size:
             run.hold = self.hold = 2
             run.limit += 1
 
@@ -381,14 +385,6 @@ class InterpretedSolver(InterpretedLineSearch):
     def _equalities(self) -> float:
         """1-norm of the rows of the recursion at the iterate."""
         return float(np.abs(self._equality_values(self.ws.x, self.ws.u)).sum())
-
-    def _shift(self, delta: float) -> None:
-        ws = self.ws
-        middle = 0.5 * (ws.grid[1:] + ws.grid[:-1])
-        for array, times in ((ws.x, ws.grid), (ws.u, middle)):
-            array[:] = np.stack([np.interp(times + delta, times, c) for c in array.T], axis=1)
-        for row in ws.x:
-            self._normalize(row)
 
     def _shift_multipliers(self, delta: float) -> None:
         """As shift_multipliers of the compiled solver."""

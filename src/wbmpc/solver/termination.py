@@ -86,6 +86,15 @@ def misses_equality(m: Floats, o: Integers, s: Floats) -> bool:
 
 
 @compiled
+def misses_start(m: Floats, o: Integers, x0: Floats) -> bool:
+    """Whether the plan starts elsewhere than in ``x0``, as after steps that are cut: by more than feedback is to bridge."""
+    worst = 0.0
+    for i in range(o[NX]):
+        worst = max(worst, abs(m[o[X] + i] - x0[i]) / (1.0 + abs(x0[i])))
+    return worst > THRESHOLDS.far_start
+
+
+@compiled
 def status_at_iteration_limit(m: Floats, o: Integers, s: Floats, status: int) -> int:
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance:
