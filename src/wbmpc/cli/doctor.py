@@ -72,11 +72,13 @@ def doctor(
 ) -> None:
     """Check a robot's file: list faults, how to fix them, and properties worth knowing. Exit status 2 if there are errors."""
     from wbmpc.robots.doctor import examine_robot
+    from wbmpc.robots.read_once import reading_once
 
     folders = {name: Path(folder) for name, folder in pairs("--package", package).items()}
-    result = examine_robot(robot, folders, pairs("--argument", argument))
-    if not result.count("error") and not folders and Path(result.robot).suffix in (".yaml", ".yml"):
-        result = replace(result, findings=(*result.findings, *collisions(result.robot)))
+    with reading_once():
+        result = examine_robot(robot, folders, pairs("--argument", argument))
+        if not result.count("error") and not folders and Path(result.robot).suffix in (".yaml", ".yml"):
+            result = replace(result, findings=(*result.findings, *collisions(result.robot)))
     if as_json:
         findings = [vars(f) for f in result.findings]
         summary = {

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import llvmlite.binding as llvm
 
 from wbmpc.errors import KernelError
-from wbmpc.kernel.codegen_target import Target, machine_for, parsed
+from wbmpc.kernel.codegen_target import Target, machine_for, object_code, parsed
 
 
 class Symbols(NamedTuple):
@@ -39,7 +39,7 @@ def link(modules: Sequence[str | bytes], target: Target, names: Mapping[str, str
     passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=0)))
     for name, public in names.items():
         whole.get_function(name).name = public
-    return bytes(machine.emit_object(whole))
+    return object_code(machine, whole)
 
 
 def symbols(code: bytes) -> Symbols:

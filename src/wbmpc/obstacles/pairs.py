@@ -155,12 +155,12 @@ def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: 
     collider = Collider([s.solid for s in geometry.shapes])
     of = {f: geometry.fixed_to(f) for f in {f for pair in pairs for f in pair}}
     listed = [(p, i, j) for p, (a, b) in enumerate(pairs) for i in of[a] for j in of[b]]
-    row, first, second = np.array(listed, int).reshape(-1, 3).T
+    row, first, second = table = np.array(listed, int).reshape(-1, 3).T
     states = states[: max(MAX_BOUNDS // count**2, 1)]
     found, part, left = np.full((len(states), len(pairs)), reach), max(AT_ONCE // count**2, 1), MAX_EXACT
     for start in range(0, len(states), part):
         centers, axes = geometry.at(*geometry.kinematics(states[start : start + part]))
-        bound = _bounds(geometry, centers, axes)[:, first, second]
+        bound = _bounds(geometry, centers, axes, table[1:], reach)
         for k in range(len(bound)):
             if left <= 0:
                 return found[: start + k]
@@ -176,16 +176,21 @@ def distances(geometry: RobotGeometry, pairs: list[Pair], states: Array, reach: 
     return found
 
 
-def _bounds(geometry: RobotGeometry, centers: Array, axes: Array) -> Array:
-    """At most the distances (n, s, s) [m] of all shapes: of their spheres, and of each against the sphere around the other."""
-    apart = centers[:, :, None] - centers[:, None]
-    one = np.empty(apart.shape[:3])
-    for c, shape in enumerate(geometry.shapes):
-        one[:, :, c] = (
-            shape.solid.distance(np.einsum("nsi,nij->nsj", apart[:, :, c], axes[:, c])) - geometry.radius[:, None].T
-        )
-    ball = np.linalg.norm(apart, axis=-1) - geometry.radius[:, None] - geometry.radius
-    return np.maximum(ball, np.maximum(one, one.transpose(0, 2, 1)))
+def _bounds(geometry: RobotGeometry, centers: Array, axes: Array, ends: NDArray[np.int64], reach: float) -> Array:
+    """At most the distances (n, pairs) [m] of pairs of shapes, whose numbers are ``ends`` (2, pairs): of their spheres, and where these are
+    nearer than ``reach`` of each shape against the sphere around the other."""
+    apart = centers[:, ends[0]] - centers[:, ends[1]]
+    bound = np.sqrt(np.einsum("npi,npi->np", apart, apart)) - geometry.radius[ends].sum(axis=0)
+    state, pair = np.nonzero(bound < reach)
+    for one, other in (ends[:, pair], ends[::-1, pair]):
+        order = np.argsort(one, kind="stable")
+        for part in np.split(order, np.flatnonzero(np.diff(one[order])) + 1):
+            if part.size:
+                k, c, far = state[part], one[part[0]], other[part]
+                seen = np.einsum("ni,nij->nj", centers[k, far] - centers[k, c], axes[k, c])
+                found = geometry.shapes[c].solid.distance(seen) - geometry.radius[far]
+                bound[k, pair[part]] = np.maximum(bound[k, pair[part]], found)
+    return bound
 
 
 def _bodies(geometry: RobotGeometry) -> list[str]:

@@ -36,6 +36,7 @@ from wbmpc.robots.mechanism import Mechanism, read_mechanism
 from wbmpc.robots.model_checks import AT_LOAD, Subject, examine
 from wbmpc.robots.model_file import ModelFile, file_of, parse
 from wbmpc.robots.model_import import keep_mechanics, reject_couplings, widen
+from wbmpc.robots.read_once import once, remembers
 from wbmpc.robots.wheel_geometry import check_radii
 from wbmpc.yaml_file import load_yaml
 
@@ -312,6 +313,14 @@ def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.
 
     ``meshes``: with the meshes of a URDF that exist, for display.
     """
+    if meshes or not remembers():
+        return _mechanics(description, meshes)
+    own = description.model_dump(include={"model", "packages", "xacro_arguments", "fixed_joints", "couple", "source"})
+    key = repr((own, description.limits.position, description.base.uses_inertia, description.base.body))
+    return once(("mechanics", key), lambda: _mechanics(description, meshes)).copy()
+
+
+def _mechanics(description: RobotDescription, meshes: bool) -> mujoco.MjSpec:
     file = file_of(description)
     spec = _parse(description, file, meshes)
     if meshes and file.root is not None and spec.meshes and (fault := _fault(spec)):

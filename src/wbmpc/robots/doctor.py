@@ -18,6 +18,7 @@ from wbmpc.robots.findings import Finding
 from wbmpc.robots.mechanism import read_mechanism
 from wbmpc.robots.model_checks import Subject, examine
 from wbmpc.robots.model_file import read_model
+from wbmpc.robots.read_once import reading_once
 from wbmpc.yaml_file import load_yaml
 
 _ORDER = {"error": 0, "warning": 1, "info": 2}
@@ -53,7 +54,7 @@ def examine_robot(
         with suppress(InputError):
             base_type(name)
     began = time.perf_counter()
-    with _quiet():
+    with _quiet(), reading_once():
         if path.suffix in (".yaml", ".yml"):
             model, findings = _of_description(path)
         else:

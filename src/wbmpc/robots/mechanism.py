@@ -15,6 +15,7 @@ from wbmpc.robots.findings import Finding
 from wbmpc.robots.inertia import replace_inertias, violates_triangle_inequality
 from wbmpc.robots.limited_program import strip_actuators_and_options
 from wbmpc.robots.model_file import ModelFile, parse
+from wbmpc.robots.read_once import once
 
 _KINDS = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 
@@ -148,6 +149,12 @@ class Mechanism:
 
 def read_mechanism(file: ModelFile) -> Mechanism:
     """Raises :class:`wbmpc.errors.InputError` naming the file where MuJoCo cannot compile it."""
+    return once(("mechanism", file.path, id(file)), lambda: (file, _compiled(file)))[
+        1
+    ]  # with the file its number stays
+
+
+def _compiled(file: ModelFile) -> Mechanism:
     missing: list[str] = []
     spec = parse(file, missing=missing)
     drives = read_drives(file, spec)

@@ -31,6 +31,7 @@ from wbmpc.input_file import read_file
 from wbmpc.robots.file_limits import LARGEST, LARGEST_MESH, check_size
 from wbmpc.robots.limited_process import OutOfTime, run_limited
 from wbmpc.robots.limited_program import drop_missing_files
+from wbmpc.robots.read_once import once, remembers
 from wbmpc.robots.urdf_tree import check_tree
 from wbmpc.robots.xacro_file import expand, find_package, has_macros, locate, package_of
 from wbmpc.robots.xml_text import MAX_TAGS, tokens
@@ -141,6 +142,11 @@ def read_model(
 
     Raises :class:`InputError` naming the file.
     """
+    of = tuple(tuple(sorted((name, str(value)) for name, value in (m or {}).items())) for m in (packages, arguments))
+    return once(("model", path, of), lambda: _read(path, packages, arguments))
+
+
+def _read(path: Path, packages: Mapping[str, Path] | None, arguments: Mapping[str, str] | None) -> ModelFile:
     files = check_size(path)
     data, given = read_file(path, LARGEST), dict(packages or {})
     if not _is_urdf(path, data):
@@ -186,7 +192,12 @@ def parse(
     if file.root is None:
         try_model(file.path, file.files)
     try:
-        spec = mujoco.MjSpec.from_file(str(file.path)) if file.root is None else _urdf(file, meshes, collision)
+        if file.root is None:
+            spec = mujoco.MjSpec.from_file(str(file.path))
+        else:
+            key = ("URDF", file.path, id(file), meshes, collision)
+            _, spec = once(key, lambda: (file, _urdf(file, meshes, collision)))  # with the file its number stays
+            spec = spec.copy() if remembers() else spec
     except InputError:
         raise
     except (ValueError, ElementTree.ParseError) as error:
