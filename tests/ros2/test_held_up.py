@@ -193,7 +193,7 @@ def listening(
     """What hears goals at times that are set by hand, and its look at the ``wall``'s."""
     by_wall = now if wall is None else wall
     hold_ups, planner = HoldUps(lambda: by_wall[0]), Planner(robot, settings.speeds, settings.goals)
-    return RequestQueue(hold_ups, bus, planner, settings, lambda: 0.0, lambda: now[0]), hold_ups.look  # type: ignore[arg-type]
+    return RequestQueue(hold_ups, bus, planner, settings, lambda: 0.0, lambda: now[0], lambda: now[0]), hold_ups.look  # type: ignore[arg-type]
 
 
 def test_a_stamp_is_a_time_only_after_a_silence_that_has_room_for_it() -> None:
@@ -221,7 +221,7 @@ def test_a_clock_that_is_set_long_after_a_silence_is_no_time() -> None:
 @pytest.mark.parametrize("stopped", [False, True])
 def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: bool) -> None:
     """A stream of 20 Hz goes on while a process is held up for 2 s. Truth: by hand. The speed from before has run out, and is not prolonged by
-    them. It counts again at once where nothing moved, after a zero where it was stopped."""
+    them. It counts again when none of that time, not even a zero, can come any more; where it was stopped after a zero."""
     robot = load_robot("differential-ur10")
     settings, bus, now = settings_of(robot)(), Listening(), [10.0]
     bus.publishers = lambda *given: []  # type: ignore[attr-defined]
@@ -242,10 +242,11 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
             assert request(robot.home, 0.0).description == queue.planner.slow_down(robot.home, 0.0, None).description
         now[0] += 1e-4
     assert "held up" in queue.rejected
-    for _ in range(10):
+    for k in range(80):
         now[0] += 0.05
         look()
-        speed(0.5)
+        speed(0.0 if k == 20 else 0.5)
+        assert k > 60 or queue.take() is None
     assert (queue.take() is not None) is not stopped
     speed(0.0)
     speed(0.5)
@@ -256,13 +257,13 @@ def test_speeds_that_waited_in_a_process_that_was_held_up_are_no_goal(stopped: b
 @pytest.mark.parametrize("held", [0.2, 0.47, 0.499])
 def test_the_silence_of_a_process_that_was_held_up_is_no_pause_of_a_stream(held: float) -> None:
     """A stream of 10 Hz goes on while the process is held up for less than a speed holds (0.5 s): a robot that has stopped stays where it is
-    until the stream itself pauses. Truth: by hand."""
+    until the stream itself pauses, also if messages that were lost meanwhile keep others back for 0.6 s. Truth: by hand."""
     robot = load_robot("differential-ur10")
     bus, now = Listening(), [10.0]
     queue, look = listening(robot, settings_of(robot)(), bus, now)
     queue._spoken_at = now[0]
     queue.stop()
-    for count, silent, held_up in ((3, 4, 0.0), (1, 4, held), (3, 4, 0.0), (1, 30, 0.0)):
+    for count, silent, held_up in ((3, 4, 0.0), (1, 4, held), (3, 4, 0.0), (1, 30, 0.0), (45, 4, 0.0), (1, 30, 0.0)):
         assert queue.take() is None
         for _ in range(count):
             for _ in range(silent):
@@ -364,7 +365,7 @@ def test_goals_and_commands_that_waited_in_a_process_that_was_held_up_do_not_cou
     for _ in range(8):
         now[0] += 0.02
         look()
-    assert counted() == ("wrench goal legs" if seconds < 1.0 else "wrench")
+    assert counted() == ("wrench goal legs" if seconds < 1.0 else "")
     for _ in range(180):
         now[0] += 0.02
         look()

@@ -277,6 +277,24 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     assert p.until(lambda: "running" in p.control.state), (p.control.state, p.control.request_queue.rejected)
 
 
+def test_drives_that_keep_their_last_command_stand_after_time_went_back(pair: Callable[..., Any]) -> None:
+    """A simulator that puts time and robot back while its controllers go on: nobody else ends their last command. Truth: what is sent from then
+    on, beside at most one tick that was under way: zeros, again and again."""
+    p = pair()
+    drive(p)
+    p.run(1.0)
+    assert p.standin.speed > 0.5
+    sent, take = list[float](), p.standin._take
+    p.standin._take = lambda group, message: (take(group, message), sent.append(p.standin.speed))
+    p.standin.time, p.standin.answers = 1.0, 0.05
+    p.standin.joints = {g: ROBOT.home[ROBOT.state[g]].copy() for g in p.standin.joints}
+    assert p.until(lambda: p.control.runner.stopped and p.standin.speed == 0.0, 20.0)
+    p.run(0.5)
+    groups = len(p.standin.commands)
+    assert p.standin.speed == 0.0 and sum(v > 0.0 for v in sent) <= 2 * groups, sent
+    assert sent.count(0.0) > 10 * groups
+
+
 def test_a_simulated_robot_that_restarts_is_where_its_odometry_begins(
     pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:

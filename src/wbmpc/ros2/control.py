@@ -76,14 +76,15 @@ class ControlNode:
         adapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
         self.adapter = cast(BaseAdapter, adapter)
         self.adapter.origin = lambda: self.clock.origin
-        steady = self.clock.steady if isinstance(self.clock, BusClock) else time.monotonic
+        clock, wall = self.clock, time.monotonic
+        steady, lived = (clock.steady, clock.lived) if isinstance(clock, BusClock) else (wall, wall)
         self.source = PoseSource(node, settings, steady, self.now)
         self.external_pose = ExternalPose(self)
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
         self.request_queue = RequestQueue(
-            self.hold_ups, node, self.adapter.planner, settings, self._plan_origin, steady
+            self.hold_ups, node, self.adapter.planner, settings, self._plan_origin, steady, lived
         )
         self.base_commands = self.adapter.base_commands(self)
         self.planning = Planning(self.adapter.references)
@@ -92,9 +93,8 @@ class ControlNode:
         self._logged = self._hold_reason = ""
         self.active_task: Task | None = None
         self._graph_checked_at = -np.inf
-        if isinstance(self.clock, BusClock):
-            clock = self.clock
-            take = lambda message, source: clock.set(seconds(message.clock), source)
+        if isinstance(clock, BusClock):
+            take = lambda message, source, clock=clock: clock.set(seconds(message.clock), source)
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR, largest=SMALL, sourced=True)
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
@@ -354,7 +354,7 @@ class ControlNode:
         )
         if self.running and (lost or restarted):
             self._stop_runner(lost or restarted)
-        elif lost and self.runner is not None:
+        elif (lost or clock.went_back) and self.runner is not None:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
 
     @property

@@ -19,9 +19,15 @@ WAITED = 0.1
 OWN_WORK = 0.5
 #: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
 OLD = 1.0
-#: So long [s] after a hold-up longer than :data:`OLD` goals of its time may still come: what found no room in the process's buffers
-#: reliable writers offer again, after pauses that grow until they forget a reader that is silent.
+#: So long [s] after a hold-up messages of its time may still come, and others wait for them: what found no room in the process's
+#: buffers reliable writers offer again, after pauses that grow until they forget a reader that is silent.
 AGAIN = LEASE + 0.5
+
+
+def machine_time() -> float:
+    """Time [s] that goes on while the machine is suspended, where the system has such a one; else its steady time."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 class HoldUps:
@@ -30,12 +36,13 @@ class HoldUps:
     On a bus that waits ``wall`` stands still."""
 
     def __init__(
-        self, wall: Callable[[], float] = time.monotonic, spent: Callable[[], float] = time.process_time
+        self, wall: Callable[[], float] = machine_time, spent: Callable[[], float] = time.process_time
     ) -> None:
         self.wall, self._spent = wall, spent
         self._spent_before = spent()
         self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
         self._held, self._fresh_from, self._again_until = 0.0, -np.inf, -np.inf
+        self._in_order_from = -np.inf
         self._ended = threading.Event()
 
     def begin(self) -> None:
@@ -55,7 +62,7 @@ class HoldUps:
         """Messages that have come since the last look may be of any time since then, if that was long ago."""
         now, stood = self.wall(), self._stood()
         if stood > WAITED:
-            self._held, self._fresh_from = self.waited(), now + WAITED
+            self._held, self._fresh_from, self._in_order_from = self.waited(), now + WAITED, now + AGAIN
         if stood > OLD:
             self._over, self._again_until = now, now + AGAIN
         self._looked, self._spent_before = now, self._spent()
@@ -69,6 +76,11 @@ class HoldUps:
         """For how long [s] a message that comes now may have waited."""
         now = self.wall()
         return max(self._stood(), self._held if now < self._fresh_from else 0.0)
+
+    def silence(self, seconds: float) -> bool:
+        """Whether so long a silence [s] is that of who sends: not of a process that was held up, nor of what still waits for messages
+        of that time."""
+        return self._stood() <= WAITED and self.wall() >= self._in_order_from + seconds
 
     def since(self, time: float) -> bool:
         """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""

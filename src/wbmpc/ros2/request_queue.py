@@ -49,21 +49,23 @@ class RequestQueue:
     """Listens to goals; the newest one counts, but paths of base and end effector go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
-    ``hold_ups`` of the process; ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out.
+    ``hold_ups`` of the process; ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out;
+    ``lived()`` [s]: by which a stream of speeds pauses, without the leaps of the other one.
     ``running``: the task in force, set by who takes them up.
     """
 
     def __init__(
-        self, hold_ups: HoldUps, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time
+        self, hold_ups: HoldUps, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time, lived: Time
     ) -> None:  # fmt: skip
         self.node, self.planner, self.settings = node, planner, settings
-        self.origin, self.now, self.hold_ups = origin, now, hold_ups
+        self.origin, self.now, self.lived, self.hold_ups = origin, now, lived, hold_ups
         self.rejected = self._limited = ""
         self.running: Task | None = None
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
         self._lock = threading.Lock()
-        self._twist_at = self._spoken_at = -np.inf  # when the last speed that counted came, and the last one of all
+        # when the last speed that counted came, and by the other time the last one of all
+        self._twist_at = self._spoken_at = -np.inf
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
@@ -127,8 +129,8 @@ class RequestQueue:
                     raise InputError(
                         f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
                     )
-        if self.hold_ups.waited() > self.settings.safety.cmd_vel:
-            raise InputError("the wrench is not of now: it came while the node was held up")
+        if old := self._too_old("the wrench"):
+            raise InputError(old)
         self._wrench = np.concatenate([force, torque]), self.now()
 
     def reject(self, message: str) -> None:
@@ -215,22 +217,26 @@ class RequestQueue:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
         target = np.array([linear[0], linear[1], angular[2]])
         over = float(np.max(np.abs(target) / self._fastest))
-        previous, self._spoken_at = self._spoken_at, self.now()
-        pause = self.settings.safety.cmd_vel
-        if np.any(target) and self.hold_ups.waited() > pause:
-            raise InputError("the speed is not of now: it came while the node was held up")
-        silent = (
-            self._spoken_at - previous - self.hold_ups.waited()
-        )  # that of a node that was held up is not the stream's
-        self._latched = self._latched and bool(np.any(target)) and silent <= pause
+        previous, self._spoken_at = self._spoken_at, self.lived()
+        pause, old = self.settings.safety.cmd_vel, self._too_old("the speed")
+        if np.any(target) and old:
+            raise InputError(old)
+        paused = self._spoken_at - previous > pause and self.hold_ups.silence(pause)
+        self._latched = self._latched and (bool(old) or (bool(np.any(target)) and not paused))
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
-        self._twist_at = self._spoken_at
+        self._twist_at = self.now()
         if np.any(target):
             self._limit(target if over > 1.0 + 1e-9 else None)
             self._put_speed(target / max(over, 1.0))
         elif self._moving:
             self._slow_down()
+
+    def _too_old(self, what: str) -> str:
+        """Why ``what`` holds for a short time only and has just come does not count; empty if it does."""
+        if self.hold_ups.waited() > self.settings.safety.cmd_vel:
+            return f"{what} is not of now: it came while the node was held up"
+        return self.hold_ups.too_old(what)
 
     def _put_speed(self, twist: Array) -> None:
         self._put(Request(lambda x, t: self.planner.drive(x, t, twist, self.running), self.hold_ups.wall()))
