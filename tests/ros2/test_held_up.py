@@ -19,6 +19,7 @@ from wbmpc.bases import base_type
 from wbmpc.bases.swerve.ros_leg_control import LegControl
 from wbmpc.bases.swerve.ros_settings import SwerveRosSettings
 from wbmpc.bases.wheels.control import wheels_base
+from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
 from wbmpc.ros2.control import ControlNode
@@ -273,6 +274,33 @@ def test_the_silence_of_a_process_that_was_held_up_is_no_pause_of_a_stream(held:
             bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
             look()
     assert queue.take() is not None
+
+
+@pytest.mark.skipif(
+    not hasattr(time, "CLOCK_BOOTTIME"), reason="this system does not say for how long it was suspended"
+)
+@pytest.mark.parametrize("balances", [False, True])
+def test_a_robot_whose_machine_was_suspended_stops(balances: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By steady clocks nothing has passed: every tick seems to be in time, and nothing has waited. What balances goes on. By hand: a quick look, a
+    slow one, a minute of sleep, and a goal of before it."""
+    machine = [10.0]
+    monkeypatch.setattr("time.clock_gettime", lambda clock: {time.CLOCK_BOOTTIME: machine[0]}[clock])
+    monkeypatch.setattr("time.monotonic", lambda: 5.0)
+    hold_ups, stopped = HoldUps(spent=lambda: 0.0), list[str]()
+    control = SimpleNamespace(
+        runner=SimpleNamespace(stopped=False), running=True, adapter=SimpleNamespace(must_keep_running=balances),
+        hold_ups=hold_ups, _began=hold_ups.wall(), _graph_checked_at=5.0, _stop_runner=stopped.append,
+        **dict.fromkeys(("_check_clock", "_check_other_publishers"), lambda: None),
+    )  # fmt: skip
+    for slept in (0.02, 0.5, 60.0):
+        assert not stopped and not hold_ups.too_old("a goal")
+        hold_ups.look()
+        machine[0] += slept
+        ControlNode._supervise(control)  # type: ignore[arg-type]
+    assert bool(stopped) is not balances
+    assert hold_ups.too_old("a goal")
+    with pytest.raises(InputError, match="from before the node was held up"):
+        hold_ups.check(10.0)
 
 
 #: Works for long beside the thread that looks, then waits to be stopped; says whether a goal of its beginning is old.

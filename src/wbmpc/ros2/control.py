@@ -48,10 +48,8 @@ _RECORDS = 4000
 
 
 class ControlNode:
-    """``state``: what it does, as a message. A goal starts it, also after a stop; nothing moves before.
-
-    Clocks: the wall's, or with ``use_sim_time`` the bus's.
-    """
+    """``state``: what it does, as a message. A goal starts it, also after a stop; nothing moves before. Clocks: the wall's, or with
+    ``use_sim_time`` the bus's."""
 
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
         self.node, self.robot, self.settings, self.period = node, robot, settings, 1.0 / settings.rates.control
@@ -92,7 +90,7 @@ class ControlNode:
         self.command_conflicts = CommandConflicts(node, [c.topic for c in settings.command_topics(robot).values()])
         self._logged = self._hold_reason = ""
         self.active_task: Task | None = None
-        self._graph_checked_at = -np.inf
+        self._graph_checked_at = self._began = -np.inf
         if isinstance(clock, BusClock):
             take = lambda message, source, clock=clock: clock.set(seconds(message.clock), source)
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR, largest=SMALL, sourced=True)
@@ -156,8 +154,7 @@ class ControlNode:
         self.rosout.close()
 
     def _end_runner(self) -> None:
-        runner = self.runner
-        if runner is None:
+        if (runner := self.runner) is None:
             return
         runner.worker_commands["end"] = 1.0
         if isinstance(self.clock, BusClock):
@@ -198,8 +195,7 @@ class ControlNode:
         why = self._clock_lost() or self._other_publisher or self.robot_io.waiting_reason()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = self.source.fault or f"no pose on {self.settings.topics.pose}"
-        why = why or self.obstacles.lost()
-        return f"waiting: {why}" if why else ""
+        return f"waiting: {why}" if (why := why or self.obstacles.lost()) else ""
 
     @property
     def task(self) -> str:
@@ -291,7 +287,7 @@ class ControlNode:
         self.request_queue.running, self.active_task = task, task
 
     def start(self, x: np.ndarray, task: Task, references: References) -> None:
-        settings, adapter, began = self.settings, self.adapter, self.hold_ups.wall()
+        settings, adapter, self._began = self.settings, self.adapter, self.hold_ups.wall()
         self._end_runner()
         adapter.begin(x)
         self.external_pose.reset()
@@ -299,7 +295,7 @@ class ControlNode:
         self.set_task(task, references)
         adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         self._follow_sensors()  # what the sensors said meanwhile
-        self.hold_ups.check(began)
+        self.hold_ups.check(self._began)
         times = RealTimeSettings(
             settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=settings.safety.watchdog,
             watchdog=settings.held_up, records=_RECORDS, keep_last_policy=adapter.must_keep_running,
@@ -317,6 +313,9 @@ class ControlNode:
     def _supervise(self) -> None:
         if self.runner is not None and self.runner.stopped:
             self._after_stop()
+        if self.running and not self.adapter.must_keep_running and self.hold_ups.since(self._began):
+            # by the runner's clock nothing has passed while a machine is suspended
+            self._stop_runner("the machine was suspended, or the process was held up")
         self._check_clock()
         if time.monotonic() - self._graph_checked_at > GRAPH_POLL_PERIOD:
             self._graph_checked_at = time.monotonic()
@@ -339,9 +338,9 @@ class ControlNode:
         """Why there is no time any more; empty if there is."""
         if not isinstance(self.clock, BusClock):
             return ""
-        silence = self.settings.silence(self.clock.speed)
         # to a process that was held up for longer than a lease all others have left, and come back at once
-        return self.clock.lost(silence, lambda: bool(self.node.publishers("/clock", LINGERS)))
+        there = lambda: bool(self.node.publishers("/clock", LINGERS))
+        return self.clock.lost(self.settings.silence(self.clock.speed), there)
 
     def _check_clock(self) -> None:
         if not isinstance(clock := self.clock, BusClock):

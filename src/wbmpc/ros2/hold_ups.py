@@ -62,7 +62,9 @@ class HoldUps:
         """Messages that have come since the last look may be of any time since then, if that was long ago."""
         now, stood = self.wall(), self._stood()
         if stood > WAITED:
-            self._held, self._fresh_from, self._in_order_from = self.waited(), now + WAITED, now + AGAIN
+            self._held, self._fresh_from = self.waited(), now + WAITED
+        if now - self._looked > WAITED:
+            self._in_order_from = now + AGAIN
         if stood > OLD:
             self._over, self._again_until = now, now + AGAIN
         self._looked, self._spent_before = now, self._spent()
@@ -78,9 +80,10 @@ class HoldUps:
         return max(self._stood(), self._held if now < self._fresh_from else 0.0)
 
     def silence(self, seconds: float) -> bool:
-        """Whether so long a silence [s] is that of who sends: not of a process that was held up, nor of what still waits for messages
-        of that time."""
-        return self._stood() <= WAITED and self.wall() >= self._in_order_from + seconds
+        """Whether so long a silence [s] is that of who sends: not of a process that was held up, or did other work than to listen, nor of
+        what waits for messages that found no room meanwhile."""
+        now = self.wall()
+        return now - self._looked <= WAITED and now >= self._in_order_from + seconds
 
     def since(self, time: float) -> bool:
         """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""
