@@ -41,8 +41,10 @@ class HoldUps:
         self.wall, self._spent = wall, spent
         self._spent_before = spent()
         self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
-        self._held, self._fresh_from, self._again_until = 0.0, -np.inf, -np.inf
-        self._in_order_from = -np.inf
+        self._held, self._fresh_from, self._in_order_from = 0.0, -np.inf, -np.inf
+        self._recent: tuple[
+            tuple[float, float], ...
+        ] = ()  # how long hold-ups were, and until when messages of theirs may come [s]
         self._ended = threading.Event()
 
     def begin(self) -> None:
@@ -63,10 +65,11 @@ class HoldUps:
         now, stood = self.wall(), self._stood()
         if stood > WAITED:
             self._held, self._fresh_from = self.waited(), now + WAITED
+            self._recent = (*(h for h in self._recent if now < h[1]), (stood, now + AGAIN))
         if now - self._looked > WAITED:
             self._in_order_from = now + AGAIN
         if stood > OLD:
-            self._over, self._again_until = now, now + AGAIN
+            self._over = now
         self._looked, self._spent_before = now, self._spent()
 
     def _stood(self) -> float:
@@ -89,11 +92,12 @@ class HoldUps:
         """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""
         return time <= self._over or (time <= self._looked and self._stood() > OLD)
 
-    def too_old(self, what: str) -> str:
-        """Why ``what`` has just come and does not count; empty if it does."""
-        if self.waited() > OLD:
+    def too_old(self, what: str, limit: float = OLD) -> str:
+        """Why ``what`` has just come and does not count, for it may have waited longer than a limit [s]; empty if it does."""
+        if self.waited() > limit:
             return f"{what} is not of now: it came while the node was held up"
-        if self.wall() < self._again_until:
+        now = self.wall()
+        if any(length > limit and now < until for length, until in self._recent):
             return f"{what} may not be of now: the node was held up within the last {AGAIN:g} s"
         return ""
 

@@ -36,10 +36,11 @@ _OFF_FLOOR = 0.5
 @dataclass(frozen=True)
 class Request:
     """``make`` of the state (nx) and the plan's time [s] says what is to be done from then on. It ``came`` at a time [s] of
-    :class:`HoldUps`; what brings a base to rest is never too old."""
+    :class:`HoldUps`; what only brings a base to ``rest`` is never too old, and starts no robot."""
 
     make: Callable[[Array, float], Task]
     came: float = np.inf
+    rest: bool = False
 
     def __call__(self, x: Array, t: float) -> Task:
         return self.make(x, t)
@@ -63,7 +64,7 @@ class RequestQueue:
         self.running: Task | None = None
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         # when the last speed that counted came, and by the other time the last one of all
         self._twist_at = self._spoken_at = -np.inf
         self._moving = self._latched = False
@@ -93,6 +94,8 @@ class RequestQueue:
                 if not self._requests:
                     return None
                 request = self._requests.pop(next(iter(self._requests)))
+            if request.rest and self.running is None:  # the speed that it ends was rejected, or the robot has stopped
+                continue
             try:
                 self.hold_ups.check(request.came)
             except InputError as error:
@@ -105,7 +108,7 @@ class RequestQueue:
         a zero, or after a pause as long as a speed holds."""
         with self._lock:
             waiting, self._requests = bool(self._requests), {}
-        self._moving, self._latched = False, True
+            self._moving, self._latched = False, True
         if waiting:
             self.reject("a goal is rejected: the robot has stopped meanwhile")
 
@@ -217,6 +220,11 @@ class RequestQueue:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
         target = np.array([linear[0], linear[1], angular[2]])
         over = float(np.max(np.abs(target) / self._fastest))
+        with self._lock:  # a stop comes before or after it
+            self._count_speed(target, over)
+
+    def _count_speed(self, target: Array, over: float) -> None:
+        """Take a speed (3) that is ``over`` 1 too fast, if it is of now."""
         previous, self._spoken_at = self._spoken_at, self.lived()
         pause, old = self.settings.safety.cmd_vel, self._too_old("the speed")
         if np.any(target) and old:
@@ -233,10 +241,8 @@ class RequestQueue:
             self._slow_down()
 
     def _too_old(self, what: str) -> str:
-        """Why ``what`` holds for a short time only and has just come does not count; empty if it does."""
-        if self.hold_ups.waited() > self.settings.safety.cmd_vel:
-            return f"{what} is not of now: it came while the node was held up"
-        return self.hold_ups.too_old(what)
+        """Why ``what`` holds as long as a speed, and has just come, does not count; empty if it does."""
+        return self.hold_ups.too_old(what, self.settings.safety.cmd_vel)
 
     def _put_speed(self, twist: Array) -> None:
         self._put(Request(lambda x, t: self.planner.drive(x, t, twist, self.running), self.hold_ups.wall()))
@@ -255,7 +261,7 @@ class RequestQueue:
             self._limited_log.log(_LOG, logging.WARNING, "limited", self._limited)
 
     def _slow_down(self) -> None:
-        self._put(Request(lambda x, t: self.planner.slow_down(x, t, self.running)))
+        self._put(Request(lambda x, t: self.planner.slow_down(x, t, self.running), rest=True))
 
     # ------------------------------------------------------------------ parts
     def _frame(self, header: Any) -> str:
