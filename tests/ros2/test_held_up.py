@@ -307,6 +307,28 @@ def test_a_robot_whose_machine_was_suspended_stops(balances: bool, monkeypatch: 
         hold_ups.check(10.0)
 
 
+@pytest.mark.parametrize("held", [0.15, 0.4, 0.9])
+def test_a_zero_that_waited_is_no_sign_that_the_stop_was_seen(held: float) -> None:
+    """Of a stream that had one while the process was held up, and goes on at its speed; a zero of now is. By hand."""
+    robot = load_robot("differential-ur10")
+    bus, now = Listening(), [10.0]
+    queue, look = listening(robot, settings_of(robot)(), bus, now)
+    speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
+    look()
+    speed(0.5)
+    queue.stop()
+    now[0] += held
+    for v in (0.5, 0.0, 0.5):
+        speed(v)
+        look()
+        assert queue.take() is None
+    for k in range(200):
+        now[0] += 0.02
+        look()
+        speed(0.0 if k == 190 else 0.5)
+        assert (queue.take() is not None) is (k > 190)
+
+
 @pytest.mark.parametrize("zero", [False, True])
 def test_the_end_of_a_speed_starts_no_robot(zero: bool) -> None:
     """A speed was rejected, for a sensor was late, or the robot has stopped since; then it runs out, or a zero ends it. By hand."""

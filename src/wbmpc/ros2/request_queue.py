@@ -18,7 +18,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, planar_path, read_pose, read_poses, read_vector, seconds
 from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track
-from wbmpc.ros2.hold_ups import HoldUps
+from wbmpc.ros2.hold_ups import WAITED, HoldUps
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 
@@ -230,7 +230,8 @@ class RequestQueue:
         if np.any(target) and old:
             raise InputError(old)
         paused = self._spoken_at - previous > pause and self.hold_ups.silence(pause)
-        self._latched = self._latched and (bool(old) or (bool(np.any(target)) and not paused))
+        waited = bool(old) or self.hold_ups.waited() > WAITED  # a zero of before the stop, or of while nobody listened
+        self._latched = self._latched and (waited or (bool(np.any(target)) and not paused))
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
         self._twist_at = self.now()
