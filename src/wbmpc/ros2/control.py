@@ -43,6 +43,7 @@ _LOG = logging.getLogger("wbmpc")
 POLL_PERIOD, GRAPH_POLL_PERIOD = 0.02, 0.5
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 MPC_OFFSET, QUIET_PHASES = 0.5, (0.4, 0.75)
+_WENT_BACK = "the time on /clock went back: the simulator was restarted"
 #: Samples kept of the runner's figures.
 _RECORDS = 4000
 
@@ -169,8 +170,8 @@ class ControlNode:
 
     @property
     def stopping(self) -> bool:
-        """Whether a stop is still going on: nothing is started before it is over."""
-        return not self.running and self.robot_io.ramping
+        """Whether a stop is still going on, or has not been seen yet: nothing is started before it is over."""
+        return not self.running and (self.robot_io.ramping or self.request_queue.running is not None)
 
     @property
     def degraded(self) -> bool:
@@ -246,17 +247,19 @@ class ControlNode:
                 self.planning.begin(request, seen[1], self.clock.now() if self.running else 0.0, self.running)
             if not self.planning.ready():
                 return
+            was = self.request_queue.running  # also of a run whose stop has not been seen yet
             try:
                 self._activate(self.planning.take())
             except Exception as error:  # whatever a goal does, a robot that moves is not left alone
                 self.request_queue.reject(f"a goal is rejected: {error_message(error)}")
-                self.request_queue.running = self.request_queue.running if self.running else None
+                self.request_queue.running = self.request_queue.running if self.running else was
             else:
                 self.request_queue.rejected = ""
 
     def _rejection_reason(self) -> str:
         """Why no goal can be taken; empty if one can."""
-        return self._hold_reason if self.running else self.waiting_reason()
+        unseen = "the robot has stopped meanwhile" if self.request_queue.running is not None else ""
+        return self._hold_reason if self.running else unseen or self.waiting_reason()
 
     def _activate(self, planned: Planned) -> None:
         """Start a planned task, if that is still right. Raises :class:`InputError`."""
@@ -348,9 +351,7 @@ class ControlNode:
         lost = self._clock_lost()
         if self.running and not self.adapter.must_keep_running:
             lost = lost or clock.stood(self.settings.silence)
-        restarted = (
-            "the time on /clock went back: the simulator was restarted" if clock.went_back else clock.source.replaced
-        )
+        restarted = _WENT_BACK if clock.went_back else clock.source.replaced
         if self.running and (lost or restarted):
             self._stop_runner(lost or restarted)
         elif (lost or clock.went_back) and self.runner is not None:
