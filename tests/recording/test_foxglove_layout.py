@@ -92,7 +92,25 @@ def test_a_recording_with_nothing_to_show_is_an_error(tmp_path: Path) -> None:
         layout(read_recording(tmp_path))
 
 
-POSES = ("/end_effector_reference", "/ground_truth/end_effector")
+@pytest.mark.parametrize(("frames", "truth", "fixed"), [
+    (["odom base_link"], False, "odom"), (["odom base_link"] * 20 + ["map odom"], False, "map"), (["odom base_link", "map odom"], True, "map"),
+])  # fmt: skip
+def test_what_a_real_robots_bus_says_is_drawn(tmp_path: Path, frames: list[str], truth: bool, fixed: str) -> None:
+    """It has no true poses, and ``map`` only with a localization: Foxglove draws nothing in a frame that is not there. Truth: the frames
+    themselves."""
+    file, pose = McapFile(tmp_path / "run.mcap"), np.array([0.0, 0, 0, 0, 0, 0, 1])
+    for k, (parent, child) in enumerate(map(str.split, frames)):
+        link = {"header": header(0.01 * k, parent), "child_frame_id": child, "transform": pose}
+        file.put("/tf", "tf2_msgs/TFMessage", 0.01 * k, {"transforms": [link]})
+    for topic in ("/end_effector_pose", *["/ground_truth/end_effector"] * truth):
+        file.put(topic, "geometry_msgs/PoseStamped", 0.0, {"header": header(0.0, "odom"), "pose": pose})
+    file.close()
+    picture = layout(read_recording(tmp_path))["configById"]["3D!robot"]
+    assert picture["fixedFrame"] == picture["layers"]["grid"]["frameId"] == fixed
+    assert list(picture["topics"]) == ["/ground_truth/end_effector" if truth else "/end_effector_pose"]
+
+
+POSES = ("/end_effector_reference", "/ground_truth/end_effector", "/end_effector_pose")
 
 
 def test_every_setting_is_one_that_foxglove_documents(run: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ pytestmark = needs_dds
 if not MISSING:
     from balancing import NETWORK, ROBOT, Deaf, balancing, errors, standing
     from simulated import Simulated
+
+    from wbmpc.ros2.trajectory_client import places_of
 
 
 @pytest.fixture(scope="class")
@@ -80,6 +83,19 @@ def test_it_is_held_until_a_goal_comes_and_then_balances(made: Callable[..., Any
     s.run(1.0)
     later = s.control.adapter.estimate().covariance
     assert later[0, 0] > 0.9 * e.covariance[0, 0] and later[3, 3] < 1.5 * e.covariance[3, 3]
+
+
+def test_a_stop_before_the_first_torques_lets_nobody_fall(made: Callable[..., Any]) -> None:
+    """A controller whose first tick took too long stops, and sends zeros: nobody balances the robot yet. Truth: it stands for 3 s, which without
+    torques it does not."""
+    s = made()
+    s.ready()
+    for name, controller in s.sim._controllers.items():
+        targets = [places_of(ROBOT)[j] for j in controller.joints]
+        s.sim._take(name, targets, SimpleNamespace(data=np.zeros(len(targets))))
+    s.run(3.0)
+    s.end_effector(dx=0.02)
+    standing(s)
 
 
 def test_drives_that_take_the_first_commands_late(made: Callable[..., Any]) -> None:

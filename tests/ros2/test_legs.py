@@ -134,7 +134,8 @@ def test_a_leg_that_arrives_while_a_goal_is_planned_is_braked() -> None:
         swing=lambda legs: None, references=lambda task, x: adapter.legs.copy(),
     )  # fmt: skip
     control = SimpleNamespace(
-        node=bus, hold_ups=HoldUps(), clock=SimpleNamespace(now=lambda: now), running=True, stopping=False, active_task="",
+        node=bus, hold_ups=HoldUps(), request_queue=SimpleNamespace(running=None),
+        clock=SimpleNamespace(now=lambda: now), running=True, stopping=False, active_task="",
         planning=SimpleNamespace(busy=False), set_task=lambda task, legs: followed.append(legs),
     )  # fmt: skip
     legs, now, at = LegControl(control, adapter), 1.0, home[ROBOT.state["leg"]]  # type: ignore[arg-type]

@@ -322,7 +322,7 @@ def test_a_path_in_the_bases_frame_is_moved_as_its_poses_are() -> None:
     settings = settings_of(robot)()
     node: Any = SimpleNamespace(subscribe=lambda *given, **also: None)
     planner = Planner(robot, settings.speeds, settings.goals)
-    queue = RequestQueue(HoldUps(), node, planner, settings, lambda: 0.0, time.monotonic)
+    queue = RequestQueue(HoldUps(), node, planner, settings, lambda: 0.0, time.monotonic, time.monotonic)
     rng, x = np.random.default_rng(4), robot.home.copy()
     x[robot.state["base"]] = [1.0, -2.0, 0.7]
     positions, turned = rng.normal(size=(9, 3)), rng.normal(size=(9, 4))

@@ -277,6 +277,60 @@ def test_time_that_goes_back_stops(pair: Callable[..., Any], caplog: pytest.LogC
     assert p.until(lambda: "running" in p.control.state), (p.control.state, p.control.request_queue.rejected)
 
 
+@pytest.mark.parametrize("when", ["take", "ready"])
+def test_a_stop_between_two_looks_of_the_node_is_one(pair: Callable[..., Any], when: str) -> None:
+    """The runner stops while the node takes up a speed, or waits for its plan, and its drives have stopped long ago; the stream of speeds goes
+    on. Truth: nothing moves."""
+    p = pair()
+    p.ready()
+    p.send("/cmd_vel", "geometry_msgs/msg/Twist", {"linear": {"x": 0.3}})
+    publisher = p.standin.node.publisher("/cmd_vel", "geometry_msgs/msg/Twist")
+
+    def stream(seconds: float) -> None:
+        for _ in range(round(seconds / 0.04)):
+            publisher.publish({"linear": {"x": 0.3}})
+            p.run(0.04)
+
+    assert p.until(lambda: stream(0.2) or p.control.running)
+    stream(0.5)
+    assert p.standin.speed > 0.5
+    control, ramp = p.control, p.settings.safety.ramp
+    at = control.request_queue if when == "take" else control.planning
+    call = getattr(at, when)
+
+    def halted() -> Any:
+        setattr(at, when, call)
+        control.robot_io._stopping = time.perf_counter() - ramp - 0.01
+        control.runner.halt("its process was held up")
+        return call()
+
+    control.request_queue._put_speed(np.array([0.3, 0.0, 0.0]))
+    setattr(at, when, halted)
+    runner = control.runner
+    control._process_requests()
+    p.standin.answers = 0.02
+    stream(1.5)
+    assert control.runner is runner and runner.stopped and control.request_queue._latched, control.state
+
+
+def test_drives_that_keep_their_last_command_stand_after_time_went_back(pair: Callable[..., Any]) -> None:
+    """A simulator that puts time and robot back while its controllers go on: nobody else ends their last command. Truth: what is sent from then
+    on, beside at most one tick that was under way: zeros, again and again."""
+    p = pair()
+    drive(p)
+    p.run(1.0)
+    assert p.standin.speed > 0.5
+    sent, take = list[float](), p.standin._take
+    p.standin._take = lambda group, message: (take(group, message), sent.append(p.standin.speed))
+    p.standin.time, p.standin.answers = 1.0, 0.05
+    p.standin.joints = {g: ROBOT.home[ROBOT.state[g]].copy() for g in p.standin.joints}
+    assert p.until(lambda: p.control.runner.stopped and p.standin.speed == 0.0, 20.0)
+    p.run(0.5)
+    groups = len(p.standin.commands)
+    assert p.standin.speed == 0.0 and sum(v > 0.0 for v in sent) <= 2 * groups, sent
+    assert sent.count(0.0) > 10 * groups
+
+
 def test_a_simulated_robot_that_restarts_is_where_its_odometry_begins(
     pair: Callable[..., Any], caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -95,6 +95,24 @@ def test_numbers_and_forces(run: SimpleNamespace) -> None:
     assert numbers["t"] == 0.1 and 0.0 < numbers["solve"] < 1.0 and numbers["deadline"] == 0.02
 
 
+def test_the_trail_of_a_robot_whose_true_poses_nobody_knows_is_the_one_that_it_believes(run: SimpleNamespace) -> None:
+    """A bus of a real robot has no true poses, and without a localization no ``map``. Truth: the true ones, which what it believes comes near in
+    the world, and the poses that were recorded."""
+    recording = read_recording(run.folder)
+    times, true = positions(recording, "/ground_truth/end_effector")  # type: ignore[misc]
+    believed_at, believed = positions(recording, "/end_effector_pose")  # type: ignore[misc]
+    del recording.topics["/ground_truth/end_effector"]
+    film = Film(recording)
+    trail = lambda: film._taken(0.9)
+    np.testing.assert_allclose(trail()[-1], true[times <= 0.9][-1], atol=5e-3)
+    assert np.linalg.norm(trail()[-1] - believed[believed_at <= 0.9][-1]) > 0.1
+    for frames in (film._static, *film._frames):
+        frames.pop("odom", None)
+    film._trail = film._estimated_trail()
+    np.testing.assert_array_equal(trail(), believed[believed_at <= 0.9])
+    assert np.isfinite(film.snapshot(0.9)["poses"]).all()
+
+
 def test_recordings_without_pictures_are_rejected(tmp_path: Path) -> None:
     file = McapFile(tmp_path / "run.mcap")
     file.put("/mode", "std_msgs/String", 0.0, {"data": "H"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain, islice
 from typing import Any
 
 from wbmpc.errors import InputError
@@ -21,7 +22,10 @@ _DRAWN: dict[str, dict[str, Any]] = {
     "/end_effector_plan": {"type": "line", "lineWidth": 0.02, "gradient": ["#1e6edcff", "#1e6edcff"]},
     "/end_effector_reference": {"type": "axis", "axisScale": 0.2},
     "/ground_truth/end_effector": {"type": "axis", "axisScale": 0.12},
+    "/end_effector_pose": {"type": "axis", "axisScale": 0.12},
 }
+#: In so many messages of a recording each frame appears that has a parent.
+_FRAMES = 2000
 
 
 def layout(recording: Recording) -> dict[str, Any]:
@@ -51,8 +55,11 @@ def _stacked(names: Sequence[str]) -> Any:
 
 def _picture(recording: Recording) -> dict[str, Any]:
     topics = {name: {"visible": True, **style} for name, style in _DRAWN.items() if name in recording.topics}
+    if "/ground_truth/end_effector" in topics:  # which a real robot's bus does not have
+        topics.pop("/end_effector_pose", None)
+    root = _root(recording)
     topics |= {name: {"visible": True} for name in recording.topics if name.startswith("/contact/")}
-    grid = {"layerId": "foxglove.Grid", "instanceId": "grid", "label": "Floor", "visible": True, "frameId": MAP}
+    grid = {"layerId": "foxglove.Grid", "instanceId": "grid", "label": "Floor", "visible": True, "frameId": root}
     layers: dict[str, Any] = {"grid": {**grid, "size": 20, "divisions": 40, "lineWidth": 1, "color": "#9aa7b380"}}
     if "/robot_description" in recording.topics:
         layers["robot"] = {
@@ -66,9 +73,20 @@ def _picture(recording: Recording) -> dict[str, Any]:
     hidden = {"showLabel": False, "axisSize": 0, "lineWidth": 0}
     return {
         TITLE: "Robot",
-        "fixedFrame": MAP, "followTf": BASE, "followMode": "follow-position", "cameraState": camera, "topics": topics, "layers": layers,
+        "fixedFrame": root, "followTf": BASE, "followMode": "follow-position", "cameraState": camera, "topics": topics, "layers": layers,
         "scene": {"transforms": hidden, "meshUpAxis": "z_up"},
     }  # fmt: skip
+
+
+def _root(recording: Recording) -> str:
+    """The frame in which the base's are, in the end: of a robot without a localization in a map the one of its odometry."""
+    found = [recording.topics[name] for name in ("/tf", "/tf_static") if name in recording.topics]
+    messages = chain.from_iterable(islice(topic.messages(), _FRAMES) for topic in found)
+    parents = {f["child_frame_id"]: f["header"]["frame_id"] for _, m in messages for f in m["transforms"]}
+    root = BASE
+    while root in parents and root != MAP:
+        root = parents.pop(root)
+    return root if root != BASE else MAP
 
 
 def _plots(recording: Recording) -> list[dict[str, Any]]:

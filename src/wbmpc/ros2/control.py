@@ -43,15 +43,14 @@ _LOG = logging.getLogger("wbmpc")
 POLL_PERIOD, GRAPH_POLL_PERIOD = 0.02, 0.5
 #: Shares of a period: where the MPC's ticks begin, and from when to when the node's own thread does short pieces of work.
 MPC_OFFSET, QUIET_PHASES = 0.5, (0.4, 0.75)
+_WENT_BACK = "the time on /clock went back: the simulator was restarted"
 #: Samples kept of the runner's figures.
 _RECORDS = 4000
 
 
 class ControlNode:
-    """``state``: what it does, as a message. A goal starts it, also after a stop; nothing moves before.
-
-    Clocks: the wall's, or with ``use_sim_time`` the bus's.
-    """
+    """``state``: what it does, as a message. A goal starts it, also after a stop; nothing moves before. Clocks: the wall's, or with
+    ``use_sim_time`` the bus's."""
 
     def __init__(self, node: Node, robot: RobotModel, settings: RosSettings) -> None:
         self.node, self.robot, self.settings, self.period = node, robot, settings, 1.0 / settings.rates.control
@@ -76,14 +75,15 @@ class ControlNode:
         adapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
         self.adapter = cast(BaseAdapter, adapter)
         self.adapter.origin = lambda: self.clock.origin
-        steady = self.clock.steady if isinstance(self.clock, BusClock) else time.monotonic
+        clock, wall = self.clock, time.monotonic
+        steady, lived = (clock.steady, clock.lived) if isinstance(clock, BusClock) else (wall, wall)
         self.source = PoseSource(node, settings, steady, self.now)
         self.external_pose = ExternalPose(self)
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
         self.request_queue = RequestQueue(
-            self.hold_ups, node, self.adapter.planner, settings, self._plan_origin, steady
+            self.hold_ups, node, self.adapter.planner, settings, self._plan_origin, steady, lived
         )
         self.base_commands = self.adapter.base_commands(self)
         self.planning = Planning(self.adapter.references)
@@ -91,10 +91,9 @@ class ControlNode:
         self.command_conflicts = CommandConflicts(node, [c.topic for c in settings.command_topics(robot).values()])
         self._logged = self._hold_reason = ""
         self.active_task: Task | None = None
-        self._graph_checked_at = -np.inf
-        if isinstance(self.clock, BusClock):
-            clock = self.clock
-            take = lambda message, source: clock.set(seconds(message.clock), source)
+        self._graph_checked_at = self._began = -np.inf
+        if isinstance(clock, BusClock):
+            take = lambda message, source, clock=clock: clock.set(seconds(message.clock), source)
             node.subscribe("/clock", "rosgraph_msgs/msg/Clock", take, SENSOR, largest=SMALL, sourced=True)
         self.trajectories = Trajectories(node, robot, settings)
         self.wrench = np.zeros(6)
@@ -156,8 +155,7 @@ class ControlNode:
         self.rosout.close()
 
     def _end_runner(self) -> None:
-        runner = self.runner
-        if runner is None:
+        if (runner := self.runner) is None:
             return
         runner.worker_commands["end"] = 1.0
         if isinstance(self.clock, BusClock):
@@ -172,8 +170,8 @@ class ControlNode:
 
     @property
     def stopping(self) -> bool:
-        """Whether a stop is still going on: nothing is started before it is over."""
-        return not self.running and self.robot_io.ramping
+        """Whether a stop is still going on, or has not been seen yet: nothing is started before it is over."""
+        return not self.running and (self.robot_io.ramping or self.request_queue.running is not None)
 
     @property
     def degraded(self) -> bool:
@@ -198,8 +196,7 @@ class ControlNode:
         why = self._clock_lost() or self._other_publisher or self.robot_io.waiting_reason()
         if not why and self.settings.topics.pose and self.source.now() - self.source.at > POSE_AGE:
             why = self.source.fault or f"no pose on {self.settings.topics.pose}"
-        why = why or self.obstacles.lost()
-        return f"waiting: {why}" if why else ""
+        return f"waiting: {why}" if (why := why or self.obstacles.lost()) else ""
 
     @property
     def task(self) -> str:
@@ -250,17 +247,19 @@ class ControlNode:
                 self.planning.begin(request, seen[1], self.clock.now() if self.running else 0.0, self.running)
             if not self.planning.ready():
                 return
+            was = self.request_queue.running  # also of a run whose stop has not been seen yet
             try:
                 self._activate(self.planning.take())
             except Exception as error:  # whatever a goal does, a robot that moves is not left alone
                 self.request_queue.reject(f"a goal is rejected: {error_message(error)}")
-                self.request_queue.running = self.request_queue.running if self.running else None
+                self.request_queue.running = self.request_queue.running if self.running else was
             else:
                 self.request_queue.rejected = ""
 
     def _rejection_reason(self) -> str:
         """Why no goal can be taken; empty if one can."""
-        return self._hold_reason if self.running else self.waiting_reason()
+        unseen = "the robot has stopped meanwhile" if self.request_queue.running is not None else ""
+        return self._hold_reason if self.running else unseen or self.waiting_reason()
 
     def _activate(self, planned: Planned) -> None:
         """Start a planned task, if that is still right. Raises :class:`InputError`."""
@@ -291,7 +290,7 @@ class ControlNode:
         self.request_queue.running, self.active_task = task, task
 
     def start(self, x: np.ndarray, task: Task, references: References) -> None:
-        settings, adapter, began = self.settings, self.adapter, self.hold_ups.wall()
+        settings, adapter, self._began = self.settings, self.adapter, self.hold_ups.wall()
         self._end_runner()
         adapter.begin(x)
         self.external_pose.reset()
@@ -299,7 +298,7 @@ class ControlNode:
         self.set_task(task, references)
         adapter.mpc.advance(Observation(0.0, x))  # the first solve takes many iterations: not in the runner's time
         self._follow_sensors()  # what the sensors said meanwhile
-        self.hold_ups.check(began)
+        self.hold_ups.check(self._began)
         times = RealTimeSettings(
             settings.rates.control, max_policy_age=settings.safety.policy, max_observation_age=settings.safety.watchdog,
             watchdog=settings.held_up, records=_RECORDS, keep_last_policy=adapter.must_keep_running,
@@ -317,6 +316,9 @@ class ControlNode:
     def _supervise(self) -> None:
         if self.runner is not None and self.runner.stopped:
             self._after_stop()
+        if self.running and not self.adapter.must_keep_running and self.hold_ups.since(self._began):
+            # by the runner's clock nothing has passed while a machine is suspended
+            self._stop_runner("the machine was suspended, or the process was held up")
         self._check_clock()
         if time.monotonic() - self._graph_checked_at > GRAPH_POLL_PERIOD:
             self._graph_checked_at = time.monotonic()
@@ -339,9 +341,9 @@ class ControlNode:
         """Why there is no time any more; empty if there is."""
         if not isinstance(self.clock, BusClock):
             return ""
-        silence = self.settings.silence(self.clock.speed)
         # to a process that was held up for longer than a lease all others have left, and come back at once
-        return self.clock.lost(silence, lambda: bool(self.node.publishers("/clock", LINGERS)))
+        there = lambda: bool(self.node.publishers("/clock", LINGERS))
+        return self.clock.lost(self.settings.silence(self.clock.speed), there)
 
     def _check_clock(self) -> None:
         if not isinstance(clock := self.clock, BusClock):
@@ -349,12 +351,10 @@ class ControlNode:
         lost = self._clock_lost()
         if self.running and not self.adapter.must_keep_running:
             lost = lost or clock.stood(self.settings.silence)
-        restarted = (
-            "the time on /clock went back: the simulator was restarted" if clock.went_back else clock.source.replaced
-        )
+        restarted = _WENT_BACK if clock.went_back else clock.source.replaced
         if self.running and (lost or restarted):
             self._stop_runner(lost or restarted)
-        elif lost and self.runner is not None:
+        elif (lost or clock.went_back) and self.runner is not None:
             self.robot_io.stop()  # the runner's loop waits for a time that does not come
 
     @property

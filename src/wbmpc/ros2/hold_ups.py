@@ -19,9 +19,15 @@ WAITED = 0.1
 OWN_WORK = 0.5
 #: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
 OLD = 1.0
-#: So long [s] after a hold-up longer than :data:`OLD` goals of its time may still come: what found no room in the process's buffers
-#: reliable writers offer again, after pauses that grow until they forget a reader that is silent.
+#: So long [s] after a hold-up messages of its time may still come, and others wait for them: what found no room in the process's
+#: buffers reliable writers offer again, after pauses that grow until they forget a reader that is silent.
 AGAIN = LEASE + 0.5
+
+
+def machine_time() -> float:
+    """Time [s] that goes on while the machine is suspended, where the system has such a one; else its steady time."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 class HoldUps:
@@ -30,12 +36,15 @@ class HoldUps:
     On a bus that waits ``wall`` stands still."""
 
     def __init__(
-        self, wall: Callable[[], float] = time.monotonic, spent: Callable[[], float] = time.process_time
+        self, wall: Callable[[], float] = machine_time, spent: Callable[[], float] = time.process_time
     ) -> None:
         self.wall, self._spent = wall, spent
         self._spent_before = spent()
         self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
-        self._held, self._fresh_from, self._again_until = 0.0, -np.inf, -np.inf
+        self._held, self._fresh_from, self._in_order_from = 0.0, -np.inf, -np.inf
+        self._recent: tuple[
+            tuple[float, float], ...
+        ] = ()  # how long hold-ups were, and until when messages of theirs may come [s]
         self._ended = threading.Event()
 
     def begin(self) -> None:
@@ -56,8 +65,11 @@ class HoldUps:
         now, stood = self.wall(), self._stood()
         if stood > WAITED:
             self._held, self._fresh_from = self.waited(), now + WAITED
+            self._recent = (*(h for h in self._recent if now < h[1]), (stood, now + AGAIN))
+        if now - self._looked > WAITED:
+            self._in_order_from = now + AGAIN
         if stood > OLD:
-            self._over, self._again_until = now, now + AGAIN
+            self._over = now
         self._looked, self._spent_before = now, self._spent()
 
     def _stood(self) -> float:
@@ -70,15 +82,22 @@ class HoldUps:
         now = self.wall()
         return max(self._stood(), self._held if now < self._fresh_from else 0.0)
 
+    def silence(self, seconds: float) -> bool:
+        """Whether so long a silence [s] is that of who sends: not of a process that was held up, or did other work than to listen, nor of
+        what waits for messages that found no room meanwhile."""
+        now = self.wall()
+        return now - self._looked <= WAITED and now >= self._in_order_from + seconds
+
     def since(self, time: float) -> bool:
         """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""
         return time <= self._over or (time <= self._looked and self._stood() > OLD)
 
-    def too_old(self, what: str) -> str:
-        """Why ``what`` has just come and does not count; empty if it does."""
-        if self.waited() > OLD:
+    def too_old(self, what: str, limit: float = OLD) -> str:
+        """Why ``what`` has just come and does not count, for it may have waited longer than a limit [s]; empty if it does."""
+        if self.waited() > limit:
             return f"{what} is not of now: it came while the node was held up"
-        if self.wall() < self._again_until:
+        now = self.wall()
+        if any(length > limit and now < until for length, until in self._recent):
             return f"{what} may not be of now: the node was held up within the last {AGAIN:g} s"
         return ""
 

@@ -18,7 +18,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, planar_path, read_pose, read_poses, read_vector, seconds
 from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track
-from wbmpc.ros2.hold_ups import HoldUps
+from wbmpc.ros2.hold_ups import WAITED, HoldUps
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 
@@ -36,10 +36,11 @@ _OFF_FLOOR = 0.5
 @dataclass(frozen=True)
 class Request:
     """``make`` of the state (nx) and the plan's time [s] says what is to be done from then on. It ``came`` at a time [s] of
-    :class:`HoldUps`; what brings a base to rest is never too old."""
+    :class:`HoldUps`; what only brings a base to ``rest`` is never too old, and starts no robot."""
 
     make: Callable[[Array, float], Task]
     came: float = np.inf
+    rest: bool = False
 
     def __call__(self, x: Array, t: float) -> Task:
         return self.make(x, t)
@@ -49,21 +50,23 @@ class RequestQueue:
     """Listens to goals; the newest one counts, but paths of base and end effector go together. ``rejected``: why the last bad one was
     not taken; empty when one has been taken since.
 
-    ``hold_ups`` of the process; ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out.
+    ``hold_ups`` of the process; ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out;
+    ``lived()`` [s]: by which a stream of speeds pauses, without the leaps of the other one.
     ``running``: the task in force, set by who takes them up.
     """
 
     def __init__(
-        self, hold_ups: HoldUps, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time
+        self, hold_ups: HoldUps, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time, lived: Time
     ) -> None:  # fmt: skip
         self.node, self.planner, self.settings = node, planner, settings
-        self.origin, self.now, self.hold_ups = origin, now, hold_ups
+        self.origin, self.now, self.lived, self.hold_ups = origin, now, lived, hold_ups
         self.rejected = self._limited = ""
         self.running: Task | None = None
         self._limited_log = RateLimit()
         self._requests: dict[str, Request] = {}
-        self._lock = threading.Lock()
-        self._twist_at = self._spoken_at = -np.inf  # when the last speed that counted came, and the last one of all
+        self._lock = threading.RLock()
+        # when the last speed that counted came, and by the other time the last one of all
+        self._twist_at = self._spoken_at = -np.inf
         self._moving = self._latched = False
         self._fastest = settings.fastest(planner.robot)
         speeds = settings.topics.cmd_vel
@@ -91,6 +94,8 @@ class RequestQueue:
                 if not self._requests:
                     return None
                 request = self._requests.pop(next(iter(self._requests)))
+            if request.rest and self.running is None:  # the speed that it ends was rejected, or the robot has stopped
+                continue
             try:
                 self.hold_ups.check(request.came)
             except InputError as error:
@@ -103,7 +108,7 @@ class RequestQueue:
         a zero, or after a pause as long as a speed holds."""
         with self._lock:
             waiting, self._requests = bool(self._requests), {}
-        self._moving, self._latched = False, True
+            self._moving, self._latched = False, True
         if waiting:
             self.reject("a goal is rejected: the robot has stopped meanwhile")
 
@@ -127,8 +132,8 @@ class RequestQueue:
                     raise InputError(
                         f"a {name} of {size:.4g} {unit} is too much; valid: 0 to {limit:g} (key 'wrench.{name}')"
                     )
-        if self.hold_ups.waited() > self.settings.safety.cmd_vel:
-            raise InputError("the wrench is not of now: it came while the node was held up")
+        if old := self._too_old("the wrench"):
+            raise InputError(old)
         self._wrench = np.concatenate([force, torque]), self.now()
 
     def reject(self, message: str) -> None:
@@ -215,22 +220,30 @@ class RequestQueue:
         linear, angular = read_vector(twist.linear, "the speed"), read_vector(twist.angular, "the speed")
         target = np.array([linear[0], linear[1], angular[2]])
         over = float(np.max(np.abs(target) / self._fastest))
-        previous, self._spoken_at = self._spoken_at, self.now()
-        pause = self.settings.safety.cmd_vel
-        if np.any(target) and self.hold_ups.waited() > pause:
-            raise InputError("the speed is not of now: it came while the node was held up")
-        silent = (
-            self._spoken_at - previous - self.hold_ups.waited()
-        )  # that of a node that was held up is not the stream's
-        self._latched = self._latched and bool(np.any(target)) and silent <= pause
+        with self._lock:  # a stop comes before or after it
+            self._count_speed(target, over)
+
+    def _count_speed(self, target: Array, over: float) -> None:
+        """Take a speed (3) that is ``over`` 1 too fast, if it is of now."""
+        previous, self._spoken_at = self._spoken_at, self.lived()
+        pause, old = self.settings.safety.cmd_vel, self._too_old("the speed")
+        if np.any(target) and old:
+            raise InputError(old)
+        paused = self._spoken_at - previous > pause and self.hold_ups.silence(pause)
+        waited = bool(old) or self.hold_ups.waited() > WAITED  # a zero of before the stop, or of while nobody listened
+        self._latched = self._latched and (waited or (bool(np.any(target)) and not paused))
         if self._latched:
             raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
-        self._twist_at = self._spoken_at
+        self._twist_at = self.now()
         if np.any(target):
             self._limit(target if over > 1.0 + 1e-9 else None)
             self._put_speed(target / max(over, 1.0))
         elif self._moving:
             self._slow_down()
+
+    def _too_old(self, what: str) -> str:
+        """Why ``what`` holds as long as a speed, and has just come, does not count; empty if it does."""
+        return self.hold_ups.too_old(what, self.settings.safety.cmd_vel)
 
     def _put_speed(self, twist: Array) -> None:
         self._put(Request(lambda x, t: self.planner.drive(x, t, twist, self.running), self.hold_ups.wall()))
@@ -249,7 +262,7 @@ class RequestQueue:
             self._limited_log.log(_LOG, logging.WARNING, "limited", self._limited)
 
     def _slow_down(self) -> None:
-        self._put(Request(lambda x, t: self.planner.slow_down(x, t, self.running)))
+        self._put(Request(lambda x, t: self.planner.slow_down(x, t, self.running), rest=True))
 
     # ------------------------------------------------------------------ parts
     def _frame(self, header: Any) -> str:

@@ -54,7 +54,7 @@ class SimNode:
     have come (``patience`` [s] of the wall: as long as they are waited for), so that nothing depends on the machine's speed; else
     in real time, ``factor`` times as fast. ``behind``: how often it was too slow. Stamps say when the physics was sampled,
     whenever the message goes out: simulated time, by the wall clock from its beginning on. A robot that cannot stand by itself
-    is held until the first commands come; only its time goes on.
+    is held until the first commands come that are not those of a stop; only its time goes on.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class SimNode:
         self._controllers = settings.command_topics(robot)
         self._count = dict.fromkeys(self._controllers, 0)
         self._heard = dict.fromkeys(self._controllers, -np.inf)
-        self._silent, self._lost = True, False
+        self._silent, self._lost, self._begun = True, False, False
         self._stood = 0.0  # how long the robot was held [s]
         self._open()
 
@@ -139,6 +139,7 @@ class SimNode:
         with self._changed:
             for (group, i), value in zip(places, values, strict=True):
                 self._groups[group][i] = value
+            self._begun |= bool(np.any(values))
             self._answered(name)
 
     def _take_twist(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
@@ -209,7 +210,7 @@ class SimNode:
 
     def _advance(self) -> None:
         command = self._command()
-        if self.side.held and not any(self._count.values()):
+        if self.side.held and not self._begun:
             self._stood += self.period
         else:
             self.plant.step(command, self.steps)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ _STEP = 0.1
 #: How often it is looked whether a browser has come [s].
 WAIT = 0.2
 _NOWHERE, _UNKNOWN = np.array([0.0, 0, 0, 1, 0, 0, 0]), np.full((1, 3), np.nan)
+#: Of an odometry without a localization in a map.
+_STAYS = "map", _NOWHERE
 #: Where what is not there at the moment is put: far away, under the floor.
 _HIDDEN = np.array([1e3, 1e3, -100.0, 1, 0, 0, 0])
 
@@ -102,10 +104,22 @@ class Film:
         )
         way = positions(recording, "/end_effector_reference")
         self._way = np.zeros((0, 3)) if way is None else way[1]
-        self._trail = positions(recording, "/ground_truth/end_effector")
+        self._trail = positions(recording, "/ground_truth/end_effector") or self._estimated_trail()
         period = recording.topics.get("/mpc/period")
         #: Of a solve [s]; nan without an MPC.
         self.deadline = float(period.last()) if period else float("nan")
+
+    def _estimated_trail(self) -> tuple[Array, Array] | None:
+        """Times (n) [s] and places (n, 3) of the end effector in ``map`` where the robot itself says it is: nobody knows better on a real one."""
+        found = positions(self.recording, "/end_effector_pose")
+        if found is None:
+            return None
+        drifts = [{**self._static, **frames}.get("odom", _STAYS)[1] for frames in self._frames]
+        places = [
+            lie.quaternion_to_rotation(drifts[k][3:]) @ p + drifts[k][:3]
+            for k, p in zip(map(partial(latest, self.times), found[0]), found[1], strict=True)
+        ]
+        return found[0], np.array(places).reshape(-1, 3)
 
     @staticmethod
     def _transforms(message: Any) -> dict[str, tuple[str, Array]]:
@@ -159,7 +173,7 @@ class Film:
         placed: dict[str, Array] = {}
         shown = self._stages.bodies(t)
         poses = [_HIDDEN if body is None else self._placed(frames, body, placed) for body in shown]
-        drift = frames.get("odom", ("map", _NOWHERE))[1]
+        drift = frames.get("odom", _STAYS)[1]
         in_map = lambda p: p @ lie.quaternion_to_rotation(drift[3:]).T + drift[:3]
         paths = {
             n: in_map(filled(p[latest(times, t)] if p else [], (PLAN, 3))) for n, (times, p) in self._plans.items()
@@ -173,7 +187,7 @@ class Film:
     def snapshot(self, t: float) -> dict[str, Array]:
         """What there was at time t [s]."""
         frames = self._at(t)
-        drift = frames.get("odom", ("map", _NOWHERE))[1]
+        drift = frames.get("odom", _STAYS)[1]
         contacts = [
             Contact(
                 body, np.array([table.columns[f"wrench.force.{a}"][latest(table.times, t)] for a in "xyz"]), place[:3]
@@ -199,7 +213,7 @@ class Film:
             for t in filter(found.due, self.times[worlds == k].tolist()):
                 frames, placed, seen = self._at(t), dict[str, Array](), self.picture(t)
                 poses = [self._placed(frames, body.name, placed) for body in scene.bodies]
-                goal = self._goal(t, frames.get("odom", ("map", _NOWHERE))[1])[:3]
+                goal = self._goal(t, frames.get("odom", _STAYS)[1])[:3]
                 paths = [p[np.isfinite(p).all(axis=1)] for p in (seen["end_effector_plan"], seen["base_plan"])]
                 found.add(t, np.array(poses), picture_points([*_UNKNOWN, *self._taken(t)][-1], goal, paths))
         return found
@@ -214,7 +228,7 @@ class Film:
     def _placed(self, frames: dict[str, tuple[str, Array]], name: str, placed: dict[str, Array]) -> Array:
         """A frame in ``map``, noted in ``placed`` as all on the way to it."""
         way: list[str] = []
-        while name not in ("map", "world") and name not in placed:
+        while name not in ("map", "world") and name not in placed and not (name == "odom" and name not in frames):
             if name not in frames or len(way) > len(frames):
                 raise InputError(f"{self.recording.path}: frame '{name}' is not connected to 'map'")
             way.append(name)

@@ -61,6 +61,7 @@ class LegControl(BaseCommands):
         seen = self.adapter.snapshot()
         if seen is None:
             return
+        was = control.request_queue.running  # also of a run whose stop has not been seen yet
         try:
             if waits:
                 control.hold_ups.check(self._came)
@@ -68,7 +69,7 @@ class LegControl(BaseCommands):
         except Exception as error:
             if not waits:
                 raise  # of a run, not of a command
-            control.request_queue.running = control.request_queue.running if control.running else None
+            control.request_queue.running = control.request_queue.running if control.running else was
             commands.drop()
             commands.reject(f"a command for the legs is rejected: {error_message(error)}")
 
