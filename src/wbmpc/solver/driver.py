@@ -18,7 +18,6 @@ from wbmpc.solver.inequalities import (
 from wbmpc.solver.inequality_table import initial_violation, reset_violations
 from wbmpc.solver.line_search import compare_with_last, longest_step, roll_out, search, take, trial
 from wbmpc.solver.memory_layout import (
-    NG,
     NONLINEAR_INPUT_ROWS,
     NX,
     POLICY,
@@ -42,9 +41,9 @@ from wbmpc.solver.termination import (
     STALLED,
     convergence_status,
     direction_status,
+    extend_iterations,
     met,
-    misses_equality,
-    misses_start,
+    most_iterations,
     status_at_iteration_limit,
 )
 from wbmpc.solver.workspace import LOG
@@ -292,43 +291,6 @@ def accept_step(
     if row_count(o) > 0:
         return settle_rows(m, o, s, alpha, kkt, violation, last_residual, level)
     return last_residual, 0.0
-
-
-@compiled
-def most_iterations(s: Floats) -> tuple[int, int]:
-    """How many iterations there are at most: usually, and of plans that cannot be used as they are."""
-    asked, most = int(s[Setting.ITERATIONS]), int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS])
-    return min(2 * asked, most), most
-
-
-@compiled
-def extend_iterations(
-    m: Floats, o: Integers, x0: Floats, s: Floats, cut: bool, hold: float, limit: int, most: tuple[int, int]
-) -> int:
-    """How many iterations there are to be after the last of ``limit``: at most the first of ``most`` while its step was ``cut``, or while
-    μ is raised, since a plan that keeps far from limits is a slow one; the next solve goes on from there. Up to the second of ``most``
-    where the plan cannot be used as it is: inputs or states outside limits, an equality missed, a start far from ``x0``.
-
-    Where inputs are still outside, a last one holds them within the rows."""
-    state = o[STATE]
-    usual, largest = most
-    left = cut or m[state + StateField.BARRIER] > s[Setting.BARRIER]
-    if left and limit < usual:
-        return limit + 1
-    outside = max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION])
-    if limit < largest and (
-        outside > THRESHOLDS.limit_tolerance or misses_equality(m, o, s) or (cut and misses_start(m, o, x0))
-    ):
-        return limit + 1
-    m[state + StateField.LEFT] = s[Setting.KEEP_MULTIPLIERS] if left else 0.0
-    if (
-        m[state + StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance
-        and s[Setting.KEEP_MULTIPLIERS] > 0.0
-        and hold + o[NG] == 0.0
-    ):
-        m[state + StateField.HOLD_INPUTS] = 2.0
-        return limit + 1
-    return limit
 
 
 @compiled
