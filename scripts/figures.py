@@ -1,9 +1,8 @@
-"""All tables of results in the documents, from finished studies: docs/results/swerve.md, ball.md and obstacles.md, and the README's figures.
+"""All tables of results in the documents, from finished studies: pages of docs/results, and the README's figures.
 
 Usage: python scripts/figures.py [--run] [--runs runs]
-The studies are swerve-goals, swerve-loads, rezero-goals, rezero-loads and obstacles of `wbmpc study`, whose folders are looked for in --runs;
---run does first what of them is not finished (days). Each experiment's rows name the commit that its runs recorded; experiments
-without runs keep the rows that they have. How old tables are: docs/_ext/table_age.py.
+Folders of the studies (STUDIES below) are looked for in --runs; --run does first what of them is not finished (days). Each experiment's rows
+name the commit that its runs recorded; experiments without runs keep the rows that they have. How old tables are: docs/_ext/table_age.py.
 """
 
 from __future__ import annotations
@@ -104,21 +103,20 @@ def ended(cell: Cell) -> bool:
 
 
 def loads(cells: list[Cell], commit: str) -> str:
-    """For each experiment conditions down and metrics across; how many runs did not complete."""
+    """For each experiment conditions, and robots where there are several, down and metrics across; how many runs did not complete."""
     text = ""
     for experiment in dict.fromkeys(cell["experiment"] for cell in cells):
         mine = [cell for cell in cells if cell["experiment"] == experiment]
         names = list(mine[0]["metrics"])
-        rows = []
+        several, rows = len({cell.get("robot") for cell in mine}) > 1, []
         for cell in mine:
             failed, found = cell["failures"], cell["metrics"]
             shown = ("{} ({}, {})".format(*figures(found[m])) for m in names)
             unsuccessful = f"{failed['failed']} of {failed['count']}"
-            rows.append(
-                [cell["condition"], f"{unsuccessful}; {outcomes(cell)}" if ended(cell) else unsuccessful, *shown]
-            )
+            name = ", ".join(filter(None, (several * (cell.get("robot") or ""), cell["condition"])))
+            rows.append([name, f"{unsuccessful}; {outcomes(cell)}" if ended(cell) else unsuccessful, *shown])
         text += f"### `{experiment}`\nMedian (95 %, worst), commit {commit}.\n\n"
-        text += table(["condition", "failed", *(f"`{m}`" for m in names)], rows)
+        text += table(["robot" if several else "condition", "failed", *(f"`{m}`" for m in names)], rows)
     return text
 
 
@@ -148,6 +146,13 @@ STUDIES = {
     "rezero-goals": ("ball", "ball goals", goals),
     "rezero-loads": ("ball", "ball loads", loads),
     "obstacles": ("obstacles", "obstacles", loads),
+    "swerve-fast": ("motion", "fast motion", loads),
+    "swerve-wipe": ("motion", "wiping", loads),
+    "touch": ("motion", "touch", loads),
+    "slip": ("motion", "slip", loads),
+    "legs": ("motion", "legs", loads),
+    "gallery": ("robots", "gallery", loads),
+    "gallery-arms": ("robots", "arms", loads),
 }
 
 

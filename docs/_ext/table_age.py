@@ -32,6 +32,9 @@ NO_PART = frozenset(
      "registry.py", "reproduce.py", "result.py", "run_files.py", "run_index.py", "settings_table.py", "tasks/joint_figures.py", "units.py",
      "yaml_file.py")
 )  # fmt: skip
+GALLERY = SIMULATED | {
+    f"bases/{b}" for b in ("differential", "fixed", "omnidirectional", "planar_motion", "swerve", "wheels")
+}
 SWERVE, BALL = SIMULATED | {"bases/swerve", "studies/pankert2022"}, SIMULATED | {"bases/ball", "studies/minniti2019"}
 #: What stands behind a commit in what is said of it; packages that pages name, at most.
 MARK, MOST_NAMED = "; ", 4
@@ -72,6 +75,13 @@ TABLES = (
         "docs/results/obstacles.md",
         SIMULATED | {f"bases/{b}" for b in ("ball", "swerve", "planar_motion")},
     ),
+    _marked("fast motion", "docs/results/motion.md", SWERVE),
+    _marked("wiping", "docs/results/motion.md", SWERVE),
+    _marked("touch", "docs/results/motion.md", BALL),
+    _marked("slip", "docs/results/motion.md", BALL),
+    _marked("legs", "docs/results/motion.md", SWERVE),
+    _marked("gallery", "docs/results/robots.md", GALLERY),
+    _marked("arms", "docs/results/robots.md", GALLERY),
     _marked("rooms", "docs/results/rooms.md", SIMULATED | {"bases/differential"}),
     _marked("translator", "docs/explanation/solver.md", frozenset({"kernel"})),
     _marked(
