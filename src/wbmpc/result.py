@@ -30,7 +30,7 @@ class Metric:
 
     ``least``: a smallest value, alone or with ``goal``. ``goal_note``: what a reader must know about the goal when one run
     misses it. ``definition``: what is measured, in a few words; reports show it beside the name. ``larger_is_better``: a small value is the
-    bad one (a distance to obstacles); one whose only goal is a smallest value needs no word of it.
+    bad one (a distance to obstacles); not needed for one whose only goal is a smallest value.
     """
 
     value: float

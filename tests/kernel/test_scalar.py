@@ -10,7 +10,7 @@ import scipy.special
 
 from toys import call_lanes, call_scalar, compile_ir
 from wbmpc.errors import UnsupportedOperation
-from wbmpc.kernel.codegen_target import parsed
+from wbmpc.kernel.codegen_target import object_code, parsed
 from wbmpc.kernel.dense import FMA
 from wbmpc.kernel.object_file import largest_frame
 from wbmpc.kernel.scalar import DECLARATIONS, emit_function, literal, supported_operations, unsupported_operation
@@ -168,7 +168,7 @@ def many(function: ca.Function, points: np.ndarray, width: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("width", WIDTHS[1:])
-def test_constants_that_are_used_and_put_out(width: int) -> None:
+def test_constants_that_are_operands_and_results(width: int) -> None:
     """Constants of two results, some of them operands too, in the order of their places and out of it."""
     x = ca.SX.sym("x", 2)
     outputs = [ca.vertcat(0.3, 0.7 * x[0], -2.5, 0.3 * x[1], 0.7, ca.SX(0.0)), ca.vertcat(x[0] - 2.5, 0.3)]
@@ -190,14 +190,14 @@ def of_a_process(triple: str, cpu: str, features: str) -> llvm.TargetMachine:
     return llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, opt=1, jit=True)
 
 
-def test_constants_do_not_wait_on_the_stack() -> None:
-    """Of a product with a matrix of 600 numbers, and its Jacobian. Truth: vectors of eight doubles that waited would take 38 kB."""
+def test_constants_are_not_spilled_to_the_stack() -> None:
+    """Of a product with a matrix of 600 numbers, and its Jacobian. Truth: as spilled vectors of eight doubles they take 38 kB."""
     x = ca.SX.sym("x", 6)
     y = ca.DM(np.random.default_rng(3).normal(size=(100, 6))) @ x
     ir = emit_lanes(ca.Function("f", [x], [y, ca.jacobian(y, x)]), "f", 8)
     machine = of_a_process("x86_64-unknown-linux-gnu", "skylake-avx512", "-prefer-256-bit")
     text = "\n".join([DECLARATIONS, helpers(ir, 8), FMA, ir])
-    assert largest_frame(bytes(machine.emit_object(parsed(text)))) < 4096
+    assert largest_frame(object_code(machine, parsed(text))) < 4096
 
 
 def test_unsupported_operation_is_named() -> None:

@@ -16,7 +16,7 @@ import pytest
 from effort import some, thorough
 from toys import LinearQuadratic, hardened_pendulum, pendulum
 from wbmpc.kernel.cache import cache_directory
-from wbmpc.kernel.codegen_target import TARGETS, machine_for, parsed, vector_budget
+from wbmpc.kernel.codegen_target import TARGETS, machine_for, object_code, parsed, vector_budget
 from wbmpc.kernel.compiled import emit_problem
 from wbmpc.kernel.object_file import largest_frame
 from wbmpc.ocp import Transcription
@@ -121,5 +121,31 @@ def test_the_pendulum_uses_more_than_one_kernel() -> None:
 def test_the_largest_frame_is_no_less_than_what_a_function_keeps(target: str, size: int) -> None:
     """Truth: an array that goes to another function, whose address it has."""
     ir = f"declare void @use(ptr)\ndefine void @f() {{\n%a = alloca [{size} x i8]\ncall void @use(ptr %a)\nret void\n}}"
-    code = bytes(machine_for(TARGETS[target], 1).emit_object(parsed(ir)))
+    code = object_code(machine_for(TARGETS[target], 1), parsed(ir))
     assert size <= largest_frame(code) < size + 4096 + 64
+
+
+LOOP = """define double @f(ptr %x, i64 %n) {
+entry:
+br label %pass
+pass:
+%i = phi i64 [0, %entry], [%next, %pass]
+%total = phi double [0.0, %entry], [%sum, %pass]
+%twice = mul i64 %i, 24
+%at = getelementptr i8, ptr %x, i64 %twice
+%value = load double, ptr %at
+%sum = fadd double %total, %value
+%next = add i64 %i, 1
+%done = icmp eq i64 %next, %n
+br i1 %done, label %out, label %pass
+out:
+ret double %sum
+}"""
+
+
+def test_others_compile_in_this_process_as_if_nothing_were_set() -> None:
+    """Truth: LLVM's own code before and after, which counts addresses; ours counts passes."""
+    target = machine_for(TARGETS["x86-64-v3"], 1)
+    emitted = lambda: bytes(target.emit_object(parsed(LOOP)))
+    before, own = emitted(), object_code(target, parsed(LOOP))
+    assert own != before and emitted() == before

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
+from threading import Lock
 from typing import Any
 
 import llvmlite
@@ -33,6 +34,8 @@ TARGETS = {
     "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3"),
     "aarch64": Target("aarch64-unknown-linux-gnu", "generic"),
 }
+#: Held while an option of LLVM is set that is of the whole process.
+_OPTION = Lock()
 #: What code is generated for where it is not this machine.
 _CHOSEN: ContextVar[Target | None] = ContextVar("target", default=None)
 
@@ -187,14 +190,15 @@ def emit(code: str | bytes) -> bytes:
 def object_code(machine: Any, module: Any) -> bytes:
     """Object code of a parsed module.
 
-    Without LLVM's reduction of loop counters to addresses: it takes up to half of the time, and the code is not faster for it. LLVM has
-    the switch for a whole process alone, so that it is put back for others that compile here.
+    Without LLVM's loop strength reduction: it takes up to half of the time, and the code is not faster for it. LLVM has this option for a
+    whole process alone: it is off again afterwards, for others that compile in this process.
     """
-    llvm.set_option("wbmpc", "-disable-lsr=true")
-    try:
-        return bytes(machine.emit_object(module))
-    finally:
-        llvm.set_option("wbmpc", "-disable-lsr=false")
+    with _OPTION:
+        llvm.set_option("wbmpc", "-disable-lsr=true")
+        try:
+            return bytes(machine.emit_object(module))
+        finally:
+            llvm.set_option("wbmpc", "-disable-lsr=false")
 
 
 def parsed(code: str | bytes) -> Any:

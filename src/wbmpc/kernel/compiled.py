@@ -139,8 +139,8 @@ def lane_maps(maps: dict[str, OutputMap], groups: dict[str, list[int]]) -> dict[
 
 
 def by_rows(function: ca.Function, outputs: OutputMap) -> tuple[ca.Function, OutputMap]:
-    """A function's value and Jacobian, the latter row by row, and where they go: what a row has of its own is then computed and put out at
-    once, and does not wait on the stack for the columns that follow."""
+    """A function's value and Jacobian, the latter row by row, and where they go: what only one row needs is then computed and stored at
+    once, and not spilled to the stack until the columns that follow are computed."""
     inputs, pattern = function.sx_in(), function.sparsity_out(1)
     value, jacobian = function(*inputs)
     order = sorted(range(pattern.nnz()), key=pattern.row().__getitem__)

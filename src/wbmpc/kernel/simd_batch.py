@@ -51,7 +51,7 @@ class _Lanes(Emitter):
         self.width, self.shared = width, shared
         self.number, self.bit = f"<{width} x double>", f"<{width} x i1>"
         self.angles: dict[str, tuple[str, str]] = {}
-        #: of every result the literals that are put out, and where
+        #: of every result the literals that are stored, and where
         self.constants: dict[int, list[tuple[str, int]]] = {}
 
     def constant(self, value: float) -> str:
@@ -96,7 +96,7 @@ class _Lanes(Emitter):
         own = [("a", "b", i) for i in range(self.f.n_in()) if i not in self.shared]
         own += [("r", "s", i) for i in range(self.f.n_out())]
         head, lane = ["entry:", *self.pointers()], "0"
-        if self.width < LANES:  # in a loop of one pass the constants of all operations would wait on the stack
+        if self.width < LANES:  # in a loop of one pass the constants of all operations would be spilled to the stack
             lane = "%lane"
             head += ["br label %pass", "pass:", "%lane = phi i64 [0, %entry], [%next, %again]"]
         return head + [f"%{b}{i} = getelementptr double, ptr %{a}{i}, i64 {lane}" for a, b, i in own]
@@ -112,7 +112,7 @@ class _Lanes(Emitter):
         return [*lines, *end, "again:", "br i1 %done, label %out, label %pass", "out:", "ret i32 0", "}"]
 
     def _put_constants(self, r: int, count: int, before: str) -> list[str]:
-        """A loop over the constants of a result: as operands of operations, too, they would wait on the stack until they are put out."""
+        """A loop over the constants of a result: as operands of operations, too, they would be spilled to the stack until they are stored."""
         t, w = self.number, self.width
         return [
             f"br label %put{r}",

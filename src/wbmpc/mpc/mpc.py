@@ -89,7 +89,7 @@ class MPC(Described):
         self.events_without_node = 0
         #: whether the last pass took more than twice the iterations asked for
         self.extended = False
-        #: whether the last pass ended with its step cut, so that the next one goes on from there
+        #: whether the last pass ended with its step cut, or μ raised, so that the next one goes on from there
         self.unfinished = False
         self._reported = False
         self._lines = RateLimit()

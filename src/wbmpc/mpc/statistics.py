@@ -16,8 +16,8 @@ class Statistics:
     observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`); ``braking_plans``:
     plans that were replaced by one that stops, before an obstacle; ``extended``: updates beside the first one that took more than twice
     the iterations asked for, because their plan could not be used before (``max_extra_iterations``) or a stop was planned;
-    ``unfinished``: updates beside the first one whose steps limits cut, after which the next one goes on: their plans hold the limits of
-    inputs, and start and meet equalities as nearly as all do, but are not as good yet.
+    ``unfinished``: updates beside the first one that ended with a step cut below 0.9 of what was tried, or with μ still raised
+    (:attr:`Solver.unfinished`): their plans cost more than with more iterations, and the next update goes on from them.
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)

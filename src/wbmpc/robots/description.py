@@ -316,7 +316,8 @@ def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.
     if meshes or not remembers():
         return _mechanics(description, meshes)
     own = description.model_dump(include={"model", "packages", "xacro_arguments", "fixed_joints", "couple", "source"})
-    key = repr((own, description.limits.position, description.base.uses_inertia, description.base.body))
+    base = description.base
+    key = repr((own, description.joints(), description.limits.position, base.uses_inertia, base.body, base.parts()))
     return once(("mechanics", key), lambda: _mechanics(description, meshes)).copy()
 
 

@@ -149,9 +149,8 @@ class Mechanism:
 
 def read_mechanism(file: ModelFile) -> Mechanism:
     """Raises :class:`wbmpc.errors.InputError` naming the file where MuJoCo cannot compile it."""
-    return once(("mechanism", file.path, id(file)), lambda: (file, _compiled(file)))[
-        1
-    ]  # with the file its number stays
+    _, found = once(("mechanism", file.path, id(file)), lambda: (file, _compiled(file)))  # what is kept keeps its id()
+    return found
 
 
 def _compiled(file: ModelFile) -> Mechanism:

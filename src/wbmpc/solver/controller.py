@@ -83,7 +83,9 @@ class Count(IntEnum):
     EVENTS_WITHOUT_NODE = 9  # of the last update's horizon
     BRAKING_PLANS = 10  # plans that were replaced by one that stops
     EXTENDED = 11  # updates beside the first that took more than twice the iterations asked for
-    UNFINISHED = 12  # updates beside the first whose step was cut, so that the next goes on from there
+    UNFINISHED = (
+        12  # updates beside the first that ended with a step cut short or μ raised: the next goes on from there
+    )
 
 
 class Value(IntEnum):

@@ -91,8 +91,8 @@ class SolverResults:
 
     @property
     def unfinished(self) -> bool:
-        """Whether, in real time, the last solve ended with its step cut below 0.9 of the longest that is tried, or with μ still raised: the
-        next one goes on from there."""
+        """Whether, in real time, the last solve ended with an accepted step that was cut below 0.9 of the longest that is tried, or with μ
+        still raised: the next one goes on from there."""
         return bool(self.ws.state[StateField.LEFT] > 0.0)
 
     @property

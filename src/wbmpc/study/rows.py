@@ -24,7 +24,7 @@ class _Target(BaseModel):
 
 class _About(_Target):
     unit: str
-    larger_is_better: bool = False
+    larger_is_better: bool
 
 
 class _Row(BaseModel):

@@ -79,18 +79,18 @@ class LearnedForces:
                 self.payload.observe(x[: observer.size], observer.arrays, observer.learning, h)
         self.disturbance = observer.force
         if not forwarded:
-            self.finite(self.disturbance, x)
+            self.check_finite(self.disturbance, x)
         if steps is not None:
             self._leant = measured, self.disturbance, leans
         if self.lean_control is not None:
             self.lean_control.check(t, self.disturbance, x, self.leans(measured))
         return forwarded
 
-    def finite(self, disturbance: Array, x: Array) -> Array:
-        """The ``disturbance``. Raises :class:`NotFinite` if it is not finite, which names the joint of the arm that is believed to turn farthest
+    def check_finite(self, disturbance: Array, x: Array) -> None:
+        """Raises :class:`NotFinite` if the ``disturbance`` (n) is not finite, which names the joint of the arm that is believed to turn farthest
         beyond its limit in the state x (nx): there the model has no answer in the end."""
         if np.isfinite(disturbance).all():
-            return disturbance
+            return
         speeds = np.abs(x[self._rates])
         i = int(np.argmax(speeds / self._max_rates))
         cause = ""

@@ -141,7 +141,8 @@ class SeparateController(BallController):
         if learned.observer is not None:
             past = self.sent.acted(self._late())
             found = learned.observer.update(measurement.time, self.believed(x), past, self.period)
-            learned.disturbance = learned.finite(found, x)
+            learned.check_finite(found, x)
+            learned.disturbance = found
         self.planner.solver.set_parameters({
             "disturbance": learned.disturbance[:5],
             "goal": self._goal if self.aware else self._nominal[self._part], "pace": np.array([self.loop.pace]),
