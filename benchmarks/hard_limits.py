@@ -45,8 +45,6 @@ FIGURES: dict[str, tuple[str, str, float, float | None]] = {
     "hand_error": ("end effector error", "mm", 1e3, None),
     "stalled": ("solves stalled", "%", 100.0, None),
     "iterations": ("iterations", "", 1.0, None),
-    "extended": ("updates over twice the iterations", "%", 100.0, None),
-    "unfinished": ("updates that leave some", "%", 100.0, None),
 }
 #: A solve whose last step was cut below this has stalled.
 STALLED = 0.1
@@ -208,8 +206,6 @@ def run(scenario: str, variant: Variant, seed: int) -> dict[str, float]:
         "hand_error": float(np.mean(record.error)),
         "stalled": float(np.mean(np.array(solves.steps) < STALLED)),
         "iterations": float(np.mean(solves.counts)),
-        "extended": rig.mpc.statistics.extended / rig.mpc.statistics.solves,
-        "unfinished": rig.mpc.statistics.unfinished / rig.mpc.statistics.solves,
     }
 
 

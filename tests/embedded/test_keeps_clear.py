@@ -75,7 +75,6 @@ def test_it_does_what_python_does_to_the_last_bit(tmp_path: Path, pushes: int, m
         assert given[Figure.ITERATIONS] == mpc.solve_info["iterations"]
         assert given[Figure.BRAKING_PLANS] == mpc.statistics.braking_plans
         assert given[Figure.EXTENDED] == mpc.statistics.extended
-        assert given[Figure.UNFINISHED] == mpc.statistics.unfinished
         assert given[Figure.CLEARANCE] == policy.clearance.distance
         active += policy.clearance.excess < 1e-3
         inside += policy.clearance.distance < 0.0

@@ -372,7 +372,7 @@ def test_after_a_jump_few_real_time_solves_come_to_the_quadratic_programs_plan(b
     for _ in range(3):
         solver._run(np.zeros(4), 0.0)
     _, truth = quadratic_program(solver, jumped)
-    for _ in range(7):
+    for _ in range(3):
         solver._run(jumped, 0.0)
     assert np.abs(solver.ws.u - truth).max() < 0.06
     assert np.abs(solver.ws.u[0] - truth[0]).max() < 1e-3

@@ -165,7 +165,7 @@ def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
         return code, count
 
     solver._run = reported  # type: ignore[method-assign]
-    for _ in range(600):
+    for _ in range(300):
         solve()
     assert min(seen.values()) > 20 and Status.EQUALITY_INFEASIBLE in status, (seen, status)
 

@@ -15,9 +15,8 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.mpc.policy import Policy
 from wbmpc.ocp import Constraint, Cost, Mode, ModeSchedule, OptimalControlProblem, Reference, residuals, sets
 from wbmpc.solver import SQP, InteriorPoint, Solver, Status
-from wbmpc.solver.memory_layout import ROW_L, ROWS, N, StateField
+from wbmpc.solver.memory_layout import ROW_L, ROWS, N
 from wbmpc.solver.receding import align, make_tables, sample_all, shift, shift_multipliers
-from wbmpc.solver.solution import COLUMNS
 from wbmpc.types import Observation
 
 
@@ -323,32 +322,6 @@ def test_ticks_with_active_limits_take_one_iteration(barrier: float) -> None:
     assert saturated > 2
 
 
-def test_only_plans_that_cannot_be_used_take_more_than_twice_the_iterations() -> None:
-    """A trolley at its limits is pushed. Truth: the plan that the same solve has after twice the iterations, looked at by its limits and its
-    start; and the log, for those that leave the rest to the next solve."""
-    at_most_twice = InteriorPoint("real_time", max_extra_iterations=1)
-    solver, short = trolley(SQP.real_time()), trolley(SQP.real_time(interior_point=at_most_twice))
-    x, h, rng, longer, left = np.array([-1.0, 0.0]), float(solver.ws.grid[1]), np.random.default_rng(3), 0, 0
-    for k in range(400):
-        x = x + rng.normal(size=2) * [0.3, 1.0] * (k % 20 == 10)
-        short.ws.memory[:] = solver.ws.memory
-        short._run(x, k * h, h)
-        _, count = solver._run(x, k * h, h)
-        plan, alpha = short.trajectory(), solver.log[count - 1, COLUMNS["alpha"]]
-        start = np.max(np.abs(plan.x[0] - x) / (1.0 + np.abs(x)))
-        outside = max(np.abs(plan.u).max() / 6.0, np.abs(plan.x[1:, 1]).max() / 1.5) - 1.0
-        if solver.effort.directions > 2:
-            assert start > 0.05 or outside > 1e-3, k
-            longer += 1
-        elif solver.unfinished:
-            assert solver.effort.directions == 2 and start <= 0.05 and outside <= 2e-3, k
-            left += 1
-        if solver.unfinished:
-            assert alpha < 0.9 or solver.ws.state[StateField.BARRIER] > 1e-3, k
-        x = solver.simulate(x, solver.ws.u[0], h)
-    assert longer > 0 and left > 0
-
-
 def test_the_twin_takes_as_many_iterations() -> None:
     """The same counts of a trolley that is pushed, in two programs."""
     solvers, x, found = (
@@ -359,9 +332,9 @@ def test_the_twin_takes_as_many_iterations() -> None:
     h = float(solvers[0].ws.grid[1])
     for k in range(30):
         x = x + np.array([0.3, 2.5]) * (k == 5) + np.array([0.1, -1.2]) * (k == 15)
-        found.append([(s._run(x, k * h, h)[1], s.unfinished) for s in solvers])
+        found.append([s._run(x, k * h, h)[1] for s in solvers])
         x = solvers[0].simulate(x, solvers[0].ws.u[0], h)
-    assert all(one == other for one, other in found) and any(one[1] for one, _ in found)
+    assert all(one == other for one, other in found) and max(one for one, _ in found) > 2
 
 
 def test_one_iteration_a_tick_is_enough_beside_a_limit_of_the_rate() -> None:

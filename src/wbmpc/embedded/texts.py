@@ -36,8 +36,7 @@ FIGURES = {
     Figure.END: "[s]",
     Figure.EVENTS_WITHOUT_NODE: "of the last update's horizon: it has their modes late or not at all, or lost their jumps",
     Figure.BRAKING_PLANS: "updates whose plan was replaced by a stop",
-    Figure.EXTENDED: "updates that took more than twice the iterations asked for: with fewer their plan could not be used, or a stop was planned",
-    Figure.UNFINISHED: "updates that ended with a step cut short or a raised barrier parameter: the next one goes on from there",
+    Figure.EXTENDED: "updates that took more than twice the iterations asked for: limits cut their steps, or a stop was planned",
     Figure.CLEARANCE: "[m] between the two parts of the robot that lack most of their margin; infinite: none are near",
 }
 

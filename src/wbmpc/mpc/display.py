@@ -33,7 +33,6 @@ class Described:
         rows: list[tuple[str, object]] = [
             ("terms", ", ".join(self.ocp.terms)), ("references", ", ".join(self.solver.references)), ("solves", counts.solves),
             ("without a new plan", counts.failures + counts.no_step), ("with more than twice the iterations", counts.extended),
-            ("unfinished", counts.unfinished),
             ("last fault", self.fault or "none"),
         ]  # fmt: skip
         if counts.solve_times:

@@ -50,9 +50,8 @@ class MPC(Described):
 
     To read: ``reference`` by the name of its term (to set, too); ``path``: progress along a path; ``limits``: bounds and straight hard
     rows of the inputs, which all policies hold; ``statistics`` of all solves; ``fault``: why the last update produced no plan, or ``""``;
-    ``events_without_node``: number of events within the last horizon without a node of their own; ``extended``,
-    ``unfinished``: whether the last update took more than twice the iterations asked for, or leaves more to the next: see
-    :class:`wbmpc.mpc.statistics.Statistics`.
+    ``events_without_node``: number of events within the last horizon without a node of their own; ``extended``: whether the last update
+    took more than twice the iterations asked for, see :class:`wbmpc.mpc.statistics.Statistics`.
     """
 
     def __init__(
@@ -89,8 +88,6 @@ class MPC(Described):
         self.events_without_node = 0
         #: whether the last pass took more than twice the iterations asked for
         self.extended = False
-        #: whether the last pass ended with its step cut, or μ raised, so that the next one goes on from there
-        self.unfinished = False
         self._reported = False
         self._lines = RateLimit()
         self._plan_check = PlanCheck(self.solver, self._lines)
@@ -164,7 +161,6 @@ class MPC(Described):
         usable = self._advance(observation)
         self.statistics.solves += 1
         self.statistics.extended += int(self.extended)
-        self.statistics.unfinished += int(started and self.unfinished)
         if started:
             self.statistics.solve_times.append(self.solve_time)
         if not usable:
@@ -218,8 +214,8 @@ class MPC(Described):
 
     @property
     def solve_info(self) -> dict[str, float]:
-        """Of the last plan: iterations in all, whether these are more than twice those asked for and whether more are left, cost, constraint
-        violation, optimality, solve time [s]; where the grid follows events or the state jumps at them, how many found no node."""
+        """Of the last plan: iterations in all, whether these are more than twice those asked for, cost, constraint violation,
+        optimality, solve time [s]; where the grid follows events or the state jumps at them, how many found no node."""
         count = self._outcome[1]
         row = self.solver.log[max(count, 1) - 1]
         found = {name: float(row[COLUMNS[name]]) for name in ("cost", "violation", "kkt")}
@@ -227,8 +223,8 @@ class MPC(Described):
             found["events_without_node"] = float(self.events_without_node)
         if self._clear.active and np.isfinite(self.clearance.distance):
             found["clearance"] = self.clearance.distance
-        said = {name: float(getattr(self, name)) for name in ("extended", "unfinished")}
-        return {"solve_time": self.solve_time, "iterations": float(self._iterations), **said, **found}
+        own = {"iterations": float(self._iterations), "extended": float(self.extended)}
+        return {"solve_time": self.solve_time, **own, **found}
 
     def advance(self, observation: Observation) -> bool:
         """Solve in the solver's memory, without copying the result. Returns whether it is a valid plan from ``observation.t`` on; if not,
@@ -251,7 +247,6 @@ class MPC(Described):
             finally:
                 self._guess = guess
         self.extended = self._t is not None and self._iterations > 2 * self.solver.settings.iterations
-        self.unfinished = self.solver.unfinished
         self._t = observation.t
         self._count_events(observation.t)
         self.fault = self._plan_check.fault(observation.t, self._outcome[0])

@@ -15,9 +15,7 @@ class Statistics:
     ``worst_limit_violation_message``: which row; ``initial_state_mismatches``: plans that start elsewhere than in the
     observed state, ``worst_initial_state_mismatch``: by how much at most (:attr:`Solver.initial_state_mismatch`); ``braking_plans``:
     plans that were replaced by one that stops, before an obstacle; ``extended``: updates beside the first one that took more than twice
-    the iterations asked for, because their plan could not be used before (``max_extra_iterations``) or a stop was planned;
-    ``unfinished``: updates beside the first one that ended with a step cut below 0.9 of what was tried, or with μ still raised
-    (:attr:`Solver.unfinished`): their plans cost more than with more iterations, and the next update goes on from them.
+    the iterations asked for, because limits cut their steps (``max_extra_iterations``) or a stop was planned.
     """
 
     solve_times: list[float] = field(default_factory=list, repr=False)
@@ -31,7 +29,6 @@ class Statistics:
     worst_initial_state_mismatch: float = 0.0
     braking_plans: int = 0
     extended: int = 0
-    unfinished: int = 0
 
     def count_limit_violation(self, share: float, where: str) -> None:
         """Count a plan whose states are outside hard limits by ``share`` of the range."""

@@ -83,9 +83,6 @@ class Count(IntEnum):
     EVENTS_WITHOUT_NODE = 9  # of the last update's horizon
     BRAKING_PLANS = 10  # plans that were replaced by one that stops
     EXTENDED = 11  # updates beside the first that took more than twice the iterations asked for
-    UNFINISHED = (
-        12  # updates beside the first that ended with a step cut short or μ raised: the next goes on from there
-    )
 
 
 class Value(IntEnum):
@@ -287,7 +284,6 @@ def conclude(
     finite."""
     m, o, status = c.m, c.o, count[Count.STATUS]
     count[Count.EXTENDED] += 1 if started and count[Count.ITERATIONS] > 2 * int(c.settings[Setting.ITERATIONS]) else 0
-    count[Count.UNFINISHED] += 1 if started and m[o[STATE] + StateField.LEFT] > 0.0 else 0
     count[Count.EVENTS_WITHOUT_NODE] = events_without_node(m, o, c.numbers, c.integers, t)
     count[Count.BROKEN] = 0 if known else count[Count.BROKEN] + 1
     usable = known and status != INPUT_INFEASIBLE and status != EQUALITY_INFEASIBLE

@@ -30,7 +30,6 @@ class Figure(IntEnum):
     BRAKING_PLANS = 12
     CLEARANCE = 13
     EXTENDED = 14
-    UNFINISHED = 15
 
 
 @compiled
@@ -43,7 +42,7 @@ def figures(count: Integers, value: Floats, times: Floats, n: int, out: Floats) 
     out[Figure.INITIAL_STATE_MISMATCH] = value[Value.INITIAL_STATE_MISMATCH]
     out[Figure.BEGINNING], out[Figure.END] = times[0], times[n]
     out[Figure.EVENTS_WITHOUT_NODE] = count[Count.EVENTS_WITHOUT_NODE]
-    out[Figure.EXTENDED], out[Figure.UNFINISHED] = count[Count.EXTENDED], count[Count.UNFINISHED]
+    out[Figure.EXTENDED] = count[Count.EXTENDED]
     out[Figure.BRAKING_PLANS], out[Figure.CLEARANCE] = count[Count.BRAKING_PLANS], value[Value.CLEARANCE]
     return Result.OK
 

@@ -43,7 +43,6 @@ from wbmpc.solver.termination import (
     direction_status,
     extend_iterations,
     met,
-    most_iterations,
     status_at_iteration_limit,
 )
 from wbmpc.solver.workspace import LOG
@@ -98,7 +97,7 @@ def begin(m: Floats, o: Integers, x0: Floats, s: Floats) -> None:
     ) = 0.0, 0.0, 0.0, 0.0
     m[state + StateField.PENALTY_FACTOR], m[state + StateField.SECOND_ORDER_SHARE] = 1.0, 1.0
     m[state + StateField.START] = 0.0
-    m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS], m[state + StateField.LEFT] = 0.0, 0.0, 0.0
+    m[state + StateField.DIRECTIONS], m[state + StateField.TRIAL_POINTS] = 0.0, 0.0
     start_adaptive(m, state)
     forget_errors(m, o)
     # in real time feedback would take the inputs of a roll-out anywhere, and one iteration does not bring them back
@@ -303,14 +302,14 @@ def solve(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats) -> tuple[i
 @compiled
 def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: int) -> tuple[int, int]:
     """As :func:`solve`, from the present iterate with its slacks and multipliers, after ``done`` steps."""
-    penalty, first, last_kkt, last_residual, size, it, other = 0.0, 1.0, np.inf, np.inf, 1.0, done, True
+    penalty, first, last_kkt, last_residual, size, it = 0.0, 1.0, np.inf, np.inf, 1.0, done
     # the level μ is to fall to, and how far the plan would still move with it: costs in tiny units need a smaller one
     level, last_mu = s[Setting.BARRIER], m[o[STATE] + StateField.BARRIER]
     bias = 0.0 if last_mu >= s[Setting.INITIAL_BARRIER] else np.inf
     state, limit, hold = o[STATE], int(s[Setting.ITERATIONS]), m[o[STATE] + StateField.HOLD_INPUTS]
     restarts = s[Setting.MAX_EXTRA_ITERATIONS] > 0.0 and s[Setting.ROLLOUT_RESTART] > 0.0
     again = row_count(o) > 0 and (s[Setting.COMPUTE_KKT] > 0.0 or restarts) and s[Setting.SINGLE_SHOOTING] == 0.0
-    usual, most = most_iterations(s)
+    most, other = limit + int(s[Setting.MAX_EXTRA_ITERATIONS]), True
     while it < limit:
         row = it * LOG_COLUMNS
         cost, violation, kkt, curvature, largest, slope = direction(m, o, x0, s, log, row)
@@ -339,7 +338,7 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         if again and restart_from_rollout(m, o, x0, s, max(abs(cost), cost + slope + 0.5 * curvature)):
             again, limit, last_kkt, first = False, limit + 1, np.inf, 1.0
             continue
-        if it < (most if limit > usual else usual) and raise_barrier(m, o, s):
+        if it < most and m[state + StateField.MAX_PRIMAL_STEP] < THRESHOLDS.short and raise_barrier(m, o, s):
             limit, other = max(limit, it + 1), True
             continue
         drop = violation - m[state + StateField.REMAINING_VIOLATION]
@@ -363,6 +362,6 @@ def iterate(m: Floats, o: Integers, x0: Floats, s: Floats, log: Floats, done: in
         if hold > 0.0:
             m[state + StateField.HOLD_INPUTS] = hold
         if it == limit:
-            limit = extend_iterations(m, o, x0, s, alpha < 0.9 * first, hold, limit, (usual, most))
+            limit = extend_iterations(m, o, s, alpha < 0.9 * first, hold, limit)
             hold = max(hold, m[state + StateField.HOLD_INPUTS])
     return status_at_iteration_limit(m, o, s, ITERATION_LIMIT), it

@@ -212,7 +212,7 @@ def limit_products(m: Floats, o: Integers, largest: float) -> None:
 
 @compiled
 def raise_barrier(m: Floats, o: Integers, s: Floats) -> bool:
-    """A larger μ, with multipliers that belong to it, in real time where slacks cut the step short; whether it was not as large as it may be.
+    """A larger μ, with multipliers that belong to it, in real time; whether it was not as large as it may be.
 
     After a jump of a reference the step passes many limits by far, which multipliers of the last solution do not feel, and the slack
     nearest to zero cuts it to nearly nothing: again and again, since each such step makes only few rows felt. With l = μ/t of a
@@ -220,8 +220,6 @@ def raise_barrier(m: Floats, o: Integers, s: Floats) -> bool:
     """
     state = o[STATE]
     mu, most = m[state + StateField.BARRIER], s[Setting.MAX_BARRIER]
-    if m[state + StateField.MAX_PRIMAL_STEP] >= THRESHOLDS.short:
-        return False
     for r in range(o[ROW_TOTAL]):
         if kind_of(m, o, r) == HARD:
             most = min(most, THRESHOLDS.slack_share * row_penalty(m, o, r))

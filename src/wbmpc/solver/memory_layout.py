@@ -115,7 +115,6 @@ class StateField(IntEnum):
     # what the next linearization does with slacks and multipliers first: node_inequalities.py
     START = 42  # 0: nothing
     START_SLACK = 43  # the least slack
-    LEFT = 44  # whether, in real time, the last step was cut or μ is still raised: the next solve goes on from there
 
 
 class Setting(IntEnum):

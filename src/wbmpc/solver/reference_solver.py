@@ -51,12 +51,6 @@ class _Progress:
     other: bool = True  # than the problem of the direction before
 
 
-def most_iterations(c: Any) -> tuple[int, int]:
-    """Usually, and of plans that cannot be used as they are."""
-    most = int(c.iterations) + int(c.max_extra_iterations)
-    return min(2 * int(c.iterations), most), most
-
-
 class InterpretedSolver(InterpretedLineSearch):
     """Runs what ``receding_solve`` runs, on the same fields x, u, p, w, k, grid of its ``ws``."""
 
@@ -84,7 +78,7 @@ class InterpretedSolver(InterpretedLineSearch):
                 self._shift_multipliers(delta)
         self.mu, self.shift = max(c.initial_barrier, c.keep_multipliers * self.mu), 0.0
         start_adaptive.python(ws.state, 0)
-        ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS, StateField.LEFT]] = 0.0
+        ws.state[[StateField.DIRECTIONS, StateField.TRIAL_POINTS]] = 0.0
         rolled = c.single_shooting and c.keep_multipliers and bool(self.problem.path.rows or self.problem.end.rows)
         self.hold = 1 + int(c.keep_multipliers) if self.problem.nonlinear_input_rows else int(rolled)
         self._start_rows_of_solve(x0, c)
@@ -210,8 +204,7 @@ class InterpretedSolver(InterpretedLineSearch):
         if run.again and self._restarts(x0, c, max(abs(cost), cost + s["slope"] + 0.5 * s["curvature"])):
             run.again, run.limit, run.last_kkt, run.first = False, run.limit + 1, np.inf, 1.0
             return None
-        usual, most = most_iterations(c)
-        if run.count < (most if run.limit > usual else usual) and self._raises_barrier(c):
+        if run.count < c.iterations + c.max_extra_iterations and self._raises_barrier(c):
             run.limit, run.other = max(run.limit, run.count + 1), True
             return None
         alpha, dual, primal = self._step_length(x0, s, c, cost, violation, kkt, run)
@@ -230,7 +223,7 @@ class InterpretedSolver(InterpretedLineSearch):
         self._settle_rows(c, (alpha, primal, dual), kkt, error, (product, residual, violation), run)
         self.policy, self.hold = True, run.hold
         row[4] = self.ws.state[StateField.LAST_STEP] = alpha
-        self._one_more(c, x0, alpha, run)
+        self._one_more(c, alpha, run)
         return None
 
     def _raises_barrier(self, c: Any) -> bool:
@@ -326,21 +319,24 @@ class InterpretedSolver(InterpretedLineSearch):
             if c.compute_kkt and not c.single_shooting:
                 run.penalty *= THRESHOLDS.kept_weight
 
-    def _one_more(self, c: Any, x0: np.ndarray, alpha: float, run: _Progress) -> None:
-        """Whether there is another iteration after what was to be the last one: as extend_iterations of the compiled solver."""
+    def _one_more(self, c: Any, alpha: float, run: _Progress) -> None:
+        """Whether there is another iteration after what was to be the last one."""
         if run.count < run.limit:
             return
         self._watch(c)
-        state, cut = self.ws.state, alpha < 0.9 * run.first
-        left, outside = cut or self.mu > c.barrier, state[StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance
-        unusable = outside or state[StateField.UNRELAXED_VIOLATION] > 0.0 or self._misses_equality(c)
-        unusable |= cut and np.max(np.abs(self.ws.x[0] - x0) / (1.0 + np.abs(x0))) > THRESHOLDS.far_start
-        usual, most = most_iterations(c)
-        if (left and run.limit < usual) or (unusable and run.limit < most):
+        outside, maximum = (
+            self.ws.state[StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance,
+            int(c.iterations) + int(c.max_extra_iterations),
+        )
+        if run.limit < maximum and (
+            alpha < 0.9 * run.first
+            or self.mu > c.barrier
+            or outside
+            or self.ws.state[StateField.UNRELAXED_VIOLATION] > 0.0
+            or self._misses_equality(c)
+        ):
             run.limit += 1
-            return
-        state[StateField.LEFT] = c.keep_multipliers if left else 0.0
-        if outside and c.keep_multipliers and run.hold == 0 and not self.problem.softness.size:
+        elif outside and c.keep_multipliers and run.hold == 0 and not self.problem.softness.size:
             run.hold = self.hold = 2
             run.limit += 1
 

@@ -90,12 +90,6 @@ class SolverResults:
         return Effort(int(state[StateField.DIRECTIONS]), int(state[StateField.TRIAL_POINTS]))
 
     @property
-    def unfinished(self) -> bool:
-        """Whether, in real time, the last solve ended with an accepted step that was cut below 0.9 of the longest that is tried, or with μ
-        still raised: the next one goes on from there."""
-        return bool(self.ws.state[StateField.LEFT] > 0.0)
-
-    @property
     def limit_violation(self) -> float:
         """By how much the last plan's states, from node 1 on, are outside hard limits, as a share of the range; in real time only,
         and 0 up to the tolerance. Rows of states with inputs count from node 0 on."""

@@ -31,8 +31,7 @@ class Thresholds:
     fall; ``steepest``: even products allow μ = 0 next, and this share of their power of 1.5 converges as fast. ``overshot``: what
     overshooting directions shorten a step to at least. ``corrections`` of a node's inputs at most: a circle takes five from three times its
     radius, rows at acute angles many; ``inside``: where they aim [units of the rows]. ``kept_slack``: share of a slack that a step leaves at
-    least: with 0.01 slacks jam near zero. ``far_start``: a plan that starts farther from the measured state [1 + |x|] takes
-    more iterations. ``min_slope`` of an equality by the inputs to divide by. ``stall_window``: iterations over which
+    least: with 0.01 slacks jam near zero. ``min_slope`` of an equality by the inputs to divide by. ``stall_window``: iterations over which
     the contraction is measured.
     """
 
@@ -58,7 +57,6 @@ class Thresholds:
     inside: float = 1e-6
     kept_slack: float = 0.1
     min_slope: float = 1e-3
-    far_start: float = 0.05
     stall_window: int = 25
 
 
@@ -87,9 +85,8 @@ class InteriorPoint:
     it at ``barrier``, but where slacks cut steps to nearly nothing, as after a jump of a reference: μ then rises until steps are long
     again, and falls afterwards. It starts every solve from slacks t = max(h, ``min_slack``) with the multipliers kept, so that one
     iteration per solve is enough. Rows are in units of their range. ``fraction_to_boundary``: the share of the way to zero that slacks
-    and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations: where the step is cut below
-    0.9 of the longest that is tried, or μ is raised, up to twice those asked for, beyond that only where the plan is outside limits, misses an
-    equality of the first input, or starts far from the measured state.
+    and multipliers may go in one step. ``max_extra_iterations``: at most so many more iterations while the step is cut below
+    0.9 of the longest that is tried (docs/explanation/solver.md).
     ``rollout_restart``: in real time, if a state outside a limit cuts steps to almost zero, the iterate is replaced by a roll-out from
     there. False is for unstable systems, whose motion without feedback diverges within the horizon.
     ``reset=False``: keep the slacks of the last solve too (for comparison: docs/results/limits-and-race.md).
@@ -223,7 +220,7 @@ class SQP:
     def max_effort(self) -> Effort:
         """What one :meth:`Solver.solve` costs at most, whatever happens: in real time by default 13 directions and 56 trial points.
 
-        ``iterations``, extra ones, a restart from a roll-out, and one with inputs held within rows; each tries the
+        ``iterations``, extra ones while steps are cut, a restart from a roll-out, and one with inputs held within rows; each tries the
         step halved down to ``min_step``, and once more as a whole with ``accept_min_step``; four points for roll-outs."""
         trials = int(np.floor(np.log2(1.0 / self.min_step))) + 1 + int(self.accept_min_step)
         return Effort(self.max_iterations, self.max_iterations * trials + 4)

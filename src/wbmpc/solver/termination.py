@@ -86,15 +86,6 @@ def misses_equality(m: Floats, o: Integers, s: Floats) -> bool:
 
 
 @compiled
-def misses_start(m: Floats, o: Integers, x0: Floats) -> bool:
-    """Whether the plan starts elsewhere than in ``x0``, as after steps that are cut: by more than feedback is to bridge."""
-    worst = 0.0
-    for i in range(o[NX]):
-        worst = max(worst, abs(m[o[X] + i] - x0[i]) / (1.0 + abs(x0[i])))
-    return worst > THRESHOLDS.far_start
-
-
-@compiled
 def status_at_iteration_limit(m: Floats, o: Integers, s: Floats, status: int) -> int:
     """``status`` of a solve that has done its iterations, unless, in real time, its plan cannot be used."""
     if m[o[STATE] + StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance:
@@ -107,32 +98,22 @@ def status_at_iteration_limit(m: Floats, o: Integers, s: Floats, status: int) ->
 
 
 @compiled
-def most_iterations(s: Floats) -> tuple[int, int]:
-    """How many iterations there are at most: usually, and of plans that cannot be used as they are."""
-    asked, most = int(s[Setting.ITERATIONS]), int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS])
-    return min(2 * asked, most), most
-
-
-@compiled
-def extend_iterations(
-    m: Floats, o: Integers, x0: Floats, s: Floats, cut: bool, hold: float, limit: int, most: tuple[int, int]
-) -> int:
-    """How many iterations there are to be after the last of ``limit``: at most the first of ``most`` while its step was ``cut``, or while
-    μ is raised, since a plan that keeps far from limits is a slow one; the next solve goes on from there. Up to the second of ``most``
-    where the plan cannot be used as it is: inputs or states outside limits, an equality missed, a start far from ``x0``.
+def extend_iterations(m: Floats, o: Integers, s: Floats, cut: bool, hold: float, limit: int) -> int:
+    """How many iterations there are to be after the last of ``limit``; ``cut``: its step was.
+    There are more while μ is raised, too: a plan that keeps far from limits is a slow one.
 
     Where inputs are still outside, a last one holds them within the rows."""
     state = o[STATE]
-    usual, largest = most
-    left = cut or m[state + StateField.BARRIER] > s[Setting.BARRIER]
-    if left and limit < usual:
-        return limit + 1
-    outside = max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION])
-    if limit < largest and (
-        outside > THRESHOLDS.limit_tolerance or misses_equality(m, o, s) or (cut and misses_start(m, o, x0))
+    short = (
+        cut
+        or m[state + StateField.BARRIER] > s[Setting.BARRIER]
+        or max(m[state + StateField.INPUT_VIOLATION], m[state + StateField.UNRELAXED_VIOLATION])
+        > THRESHOLDS.limit_tolerance
+    )
+    if limit < int(s[Setting.ITERATIONS]) + int(s[Setting.MAX_EXTRA_ITERATIONS]) and (
+        short or misses_equality(m, o, s)
     ):
         return limit + 1
-    m[state + StateField.LEFT] = s[Setting.KEEP_MULTIPLIERS] if left else 0.0
     if (
         m[state + StateField.INPUT_VIOLATION] > THRESHOLDS.limit_tolerance
         and s[Setting.KEEP_MULTIPLIERS] > 0.0
