@@ -57,7 +57,7 @@ def test_one_step_is_that_of_the_textbook(gyro: bool, freezes: bool, seed: int) 
     for name in ("twist", "by_wheels", "correction"):
         a[name][:] = 0.3 * rng.normal(size=a[name].size)
     lost = (0.02, 0.0 if gyro else 0.03)
-    a["interval"][:] = [h, turn, float(gyro), 1e-4, lost[0] / 0.5, lost[1] / 0.5, 0.5, float(freezes)]
+    a["interval"][:] = [h, turn, float(gyro), 1e-4, lost[0] / 0.5, lost[1] / 0.5, 0.5, float(freezes), 0.0]
     a["lasted"][:] = 0.7  # no longer than the wheels have slid: 0.5 s
     mean, by = a["mean"].copy(), a["by_wheels"].reshape(3, 8).copy()
     twist = a["twist"] + by @ (mean[WHEELS:] - a["correction"])

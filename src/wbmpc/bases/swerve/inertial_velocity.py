@@ -99,8 +99,9 @@ class InertialVelocity:
 
     Where no wheel is near, the velocity coasts: integrals of accelerations are off by a few mm/s after half a second. What lasts (zeros,
     tilt of the floor) is learned from wheels that agree. So wheels that agree are believed, also those that roll straight ahead while the
-    base stands on blocks, of which no gyro knows: at an acceleration of 1 m/s² they are 50 mm/s (times :data:`FOLLOW`) ahead of the
-    velocity, and then nothing; bumps make as much of it.
+    base stands on blocks, which no gyro shows. The accelerometer hardly does: while these accelerate by 1 m/s² they are ahead of the velocity
+    by 1 m/s² times :data:`FOLLOW`, 50 mm/s, and at a constant speed by nothing. Bumps make differences as large: no threshold separates
+    the two.
     """
 
     def __init__(self, seen: Array, mount: ArrayLike = (0.0, 0.0, 0.0), wheel_weights: Array | None = None) -> None:

@@ -49,11 +49,12 @@ def move_row(n: int, p: Floats, first: int, stride: int, x: float, y: float, by:
 
 @compiled
 def lose(o: Odometry, size: int) -> None:
-    """What wheels that slide add to the covariance of the pose in the interval: the more, the longer their error has moved it. What
-    contradicts a gyro has done so for as long as it was averaged when it is found."""
+    """What wheels that slide, or turn no base, add to the covariance of the pose in the interval: the more, the longer their error has
+    moved it. Wheels that are found to turn no base have turned none since their contradiction of the gyro began. What they turn otherwise
+    than the gyro is averaged: its error has lasted for no less than that."""
     p, interval, lasted = o.p, o.interval, o.lasted
     if interval[Interval.LOST] > 0.0:
-        lasted[0] += interval[Interval.H]
+        lasted[0] = max(lasted[0], interval[Interval.SINCE]) + interval[Interval.H]
     lasted[0] = min(lasted[0], interval[Interval.SLIDING])
     p[0] += interval[Interval.LOST] * lasted[0]
     p[size + 1] += interval[Interval.LOST] * lasted[0]

@@ -30,8 +30,9 @@ SLIDES, AVERAGED, BRIEF = 0.05, 0.1, 0.5
 #: its turn where a gyro contradicts them it is all of it: the base may be held, or the gyro be stuck.
 UNSURE, COASTS = 0.7, 0.15
 #: Wheels that turn otherwise than the gyro by so many standard deviations, averaged over AVERAGED, teach nothing, nor until BRIEF after it.
-#: Below this [m/s] at the wheels (a wheel of 0.1 m on a cable of 10 mm is faster than its base by a tenth, at 0.36 m/s by as much; four
-#: standard deviations are a quarter of it), and for less than BRIEF, they slip on bumps. Else they turn no base, nor until BRIEF after it.
+#: Below this [m/s] at the wheels, and for less than BRIEF, they slip on bumps: a wheel of radius r that meets an edge of height b turns
+#: about it, its axis goes up at an angle of cosine 1 - b/r to the floor, and so it rolls faster than its base goes, by b/r: for 0.1 m,
+#: a cable of 10 mm and 0.36 m/s by 0.036 m/s. Else they turn no base, nor until BRIEF after it.
 #: Standard deviations of a turn [rad/s] by creep of tires, and by wheels that turn no base.
 OTHERWISE, SLIPS, CREEP, UNKNOWN_TURN = 4.0, 0.036, 1.5e-3, 1.0
 #: Places of gyro bias and lateness in the state; from WHEELS on the corrections of the wheels.
@@ -61,9 +62,10 @@ class Interval(IntEnum):
     COUNTS = 3  # variance [rad²] of the wheels' turn by counts
     LOST = 4  # variance [m²] that wheels which slide add to each component of the pose for each second that their error has lasted
     LOST_TURN = 5  # and [rad²] to the yaw, where no gyro sees it or wheels contradict it
-    SLIDING = 6  # for how long [s] wheels have slid
-    FREEZES = 7  # 1 where wheels and gyro contradict each other: the gyro shows neither its bias nor zeros and radii
-    SIZE = 8
+    SLIDING = 6  # for how long [s] wheels have slid, or turned no base
+    FREEZES = 7  # 1 where wheels and gyro contradict each other, and until BRIEF after it: the gyro shows neither its bias nor zeros and radii
+    SINCE = 8  # where wheels are found to turn no base: for how long [s] before the interval they may have turned none; else 0
+    SIZE = 9
 
 
 class Way(IntEnum):
@@ -78,10 +80,10 @@ class Otherwise(IntEnum):
     """Entries of the array ``otherwise``."""
 
     OFF = 0  # rate [rad/s] of the gyro less that of the wheels, averaged
-    REMAINING = 1  # for how long [s] wheels still turn no base
+    REMAINING = 1  # for how long [s] wheels still turn no base, and the turn is the gyro's
     LOST = 2  # what the contradiction may have turned the base in the interval: its variance [rad²/s], for each second that it has lasted
-    LASTED = 3  # for how long [s] they have contradicted each other
-    SLIPPING = 4  # for how long [s] what is learned is still frozen
+    LASTED = 3  # how long ago [s] the contradiction began; 0 without one
+    FROZEN = 4  # for how long [s] still nothing is learned
     SIZE = 5
 
 
@@ -196,19 +198,33 @@ def turn_variance(w: Wheels, o: Odometry, h: float, rate: float) -> float:
 
 
 @compiled
+def count_down(o: Odometry, h: float) -> None:
+    """Move the times of ``otherwise`` on by ``h`` [s], whether a gyro says something or not. A contradiction ends with its freeze: one that
+    noise hides now and then lasts."""
+    otherwise = o.otherwise
+    otherwise[Otherwise.REMAINING] = max(otherwise[Otherwise.REMAINING] - h, 0.0)
+    otherwise[Otherwise.FROZEN] = max(otherwise[Otherwise.FROZEN] - h, 0.0)
+    if otherwise[Otherwise.LASTED] > 0.0:
+        otherwise[Otherwise.LASTED] += h
+        if otherwise[Otherwise.FROZEN] == 0.0:
+            otherwise[Otherwise.LASTED] = 0.0
+            otherwise[Otherwise.OFF] *= o.interval[Interval.HAS_GYRO]  # without a gyro nothing shows what it has become
+
+
+@compiled
 def turns_no_base(w: Wheels, o: Odometry, h: float, more: float) -> bool:
     """Whether wheels say so that turned by ``more`` [rad] less than the gyro. Where they contradict it by more than either is uncertain it is
     no error of radii, zeros or bias, which last: what is known of them freezes from the first moment on until BRIEF after it. But a
-    contradiction that is small and brief is one of wheels on bumps, whose turn counts as far as it is certain."""
-    otherwise, interval, square = o.otherwise, o.interval, 0.0
+    contradiction that is small and brief is one of wheels on bumps, whose turn counts as far as it is certain. One to the other side is
+    another one."""
+    otherwise, square, before = o.otherwise, 0.0, o.otherwise[Otherwise.OFF]
     otherwise[Otherwise.OFF] += (1.0 - np.exp(-h / AVERAGED)) * (more / h - otherwise[Otherwise.OFF])
     off = otherwise[Otherwise.OFF]
-    contradicts = off**2 > OTHERWISE**2 * turn_variance(w, o, h, (w.twist[2] + more) / h)
-    otherwise[Otherwise.SLIPPING] = BRIEF if contradicts else max(otherwise[Otherwise.SLIPPING] - h, 0.0)
-    otherwise[Otherwise.LASTED] = otherwise[Otherwise.LASTED] + h if contradicts else 0.0
-    interval[Interval.FREEZES] = float(otherwise[Otherwise.SLIPPING] > 0.0)
-    if not contradicts:
+    if off * before < 0.0:
+        otherwise[Otherwise.LASTED] = 0.0
+    if off**2 <= OTHERWISE**2 * turn_variance(w, o, h, (w.twist[2] + more) / h):
         return False
+    otherwise[Otherwise.FROZEN], otherwise[Otherwise.LASTED] = BRIEF, max(otherwise[Otherwise.LASTED], h)
     mx, my = middle(w)
     for i in range(w.n):
         square += ((w.axes[2 * i] - mx) ** 2 + (w.axes[2 * i + 1] - my) ** 2) / w.n
@@ -222,28 +238,30 @@ def follow_gyro(w: Wheels, o: Odometry, h: float) -> None:
     turn is the gyro's, about the middle of the wheels, and shows neither radii nor bias. All of it is in the interval, for a replay. Wheels
     that roll straight ahead on blocks contradict no gyro, and gently started no accelerometer: nothing shows that the base stands."""
     interval, otherwise, twist = o.interval, o.otherwise, w.twist
-    otherwise[Otherwise.REMAINING], otherwise[Otherwise.LOST] = max(otherwise[Otherwise.REMAINING] - h, 0.0), 0.0
-    interval[Interval.FREEZES] = 0.0
+    count_down(o, h)
+    otherwise[Otherwise.LOST], interval[Interval.SINCE], interval[Interval.FREEZES] = 0.0, 0.0, 0.0
     if interval[Interval.HAS_GYRO] == 0.0:
         return
     more = interval[Interval.TURN] - o.mean[BIAS] * h - twist[2]
     if turns_no_base(w, o, h, more):
-        if otherwise[Otherwise.REMAINING] == 0.0:  # what it has turned by now, averaged
-            since = max(otherwise[Otherwise.LASTED], AVERAGED)
-            otherwise[Otherwise.LOST] = (otherwise[Otherwise.OFF] * since) ** 2 / AVERAGED
+        if otherwise[Otherwise.REMAINING] == 0.0:
+            # an average that began just now is, times AVERAGED, the turn by then
+            interval[Interval.SINCE] = otherwise[Otherwise.LASTED] - h
+            otherwise[Otherwise.LOST] = otherwise[Otherwise.OFF] ** 2 * max(otherwise[Otherwise.LASTED], AVERAGED)
         otherwise[Otherwise.REMAINING] = BRIEF
-    held = otherwise[Otherwise.REMAINING] > 0.0
-    if not held and interval[Interval.FREEZES] == 0.0:
+    interval[Interval.FREEZES] = float(otherwise[Otherwise.FROZEN] > 0.0)
+    by_gyro = otherwise[Otherwise.REMAINING] > 0.0
+    if not by_gyro and interval[Interval.FREEZES] == 0.0:
         return
     # an error of a rate that lasts is, over longer, noise of this variance
-    variance = (UNKNOWN_TURN * h) ** 2 if held else 2.0 * otherwise[Otherwise.OFF] ** 2 * AVERAGED * h
+    variance = (UNKNOWN_TURN * h) ** 2 if by_gyro else 2.0 * otherwise[Otherwise.OFF] ** 2 * AVERAGED * h
     mx, my = middle(w)
     by = o.cross  # scratch
     by[0], by[1], by[2] = my, -mx, 1.0
     for row in range(3):
         for k in range(3):
             o.covariance[3 * row + k] += variance * by[row] * by[k]
-    if not held:
+    if not by_gyro:
         return
     if otherwise[Otherwise.LOST] == 0.0:
         otherwise[Otherwise.LOST] = 2.0 * max(otherwise[Otherwise.OFF] * more, 0.0)
@@ -292,9 +310,10 @@ def slide(w: Wheels, o: Odometry, h: float, more: float) -> None:
         freedoms += 2.0 * share
         arm += (x * x + y * y) / n
     square /= max(freedoms, 1.0)
-    held = o.otherwise[Otherwise.REMAINING] > 0.0
-    large = held or square > SLIDES**2
-    apart[2 * n] = max(apart[2 * n], BRIEF if held else 0.0) + h if large else max(apart[2 * n] - h, 0.0)
+    by_gyro = o.otherwise[Otherwise.REMAINING] > 0.0
+    large = by_gyro or square > SLIDES**2
+    already = max(apart[2 * n], BRIEF + interval[Interval.SINCE] if by_gyro else 0.0)
+    apart[2 * n] = already + h if large else max(apart[2 * n] - h, 0.0)
     apart[2 * n + 1] = 0.0 if large else apart[2 * n + 1] + h
     if apart[2 * n + 1] > BRIEF:
         apart[2 * n] = 0.0
@@ -302,11 +321,12 @@ def slide(w: Wheels, o: Odometry, h: float, more: float) -> None:
     interval[Interval.LOST], interval[Interval.LOST_TURN] = 0.0, 0.0
     if large and interval[Interval.SLIDING] > 0.0:
         square *= (COASTS if o.inertial[2] > 0.0 else UNSURE) ** 2
-        if held:  # a way along a heading that is off by e is too long by its share 1 - cos e, of which derivatives know nothing
+        if by_gyro:  # a way along a heading that is off by e is too long by its share 1 - cos e, of which derivatives know nothing
             off = 0.5 * o.p[2 * (WHEELS + 2 * n) + 2] / h
             square += min(off * off, 1.5 / (h * h)) * (w.twist[0] ** 2 + w.twist[1] ** 2)
-        # an error v of the velocity has moved the base by v t: what its variance grows by, but for t
-        interval[Interval.LOST] = 2.0 * square * h
+        # an error v of the velocity has moved the base by v t: what its variance grows by, but for t; from 0 on where it is found
+        since = interval[Interval.SINCE]
+        interval[Interval.LOST] = square * (since + h if since > 0.0 else 2.0 * h)
         interval[Interval.LOST_TURN] = o.otherwise[Otherwise.LOST] if has_gyro else interval[Interval.LOST] / arm
         covariance[0] += square * h * h
         covariance[4] += square * h * h
