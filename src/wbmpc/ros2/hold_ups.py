@@ -39,12 +39,12 @@ class HoldUps:
         self, wall: Callable[[], float] = machine_time, spent: Callable[[], float] = time.process_time
     ) -> None:
         self.wall, self._spent = wall, spent
-        self._spent_before = spent()
-        self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
+        # the last look [s], what the process had worked by then [s], and how long messages had waited that it had not taken yet [s]
+        self._last = np.inf, spent(), 0.0
+        self._over = -np.inf  # the end of the last long hold-up [s]
         self._held, self._fresh_from, self._in_order_from = 0.0, -np.inf, -np.inf
-        self._recent: tuple[
-            tuple[float, float], ...
-        ] = ()  # how long hold-ups were, and until when messages of theirs may come [s]
+        # of each hold-up: how long messages have waited, and until when they may come [s]
+        self._recent: tuple[tuple[float, float], ...] = ()
         self._ended = threading.Event()
 
     def begin(self) -> None:
@@ -64,18 +64,22 @@ class HoldUps:
         """Messages that have come since the last look may be of any time since then, if that was long ago."""
         now, stood = self.wall(), self._stood()
         if stood > WAITED:
-            self._held, self._fresh_from = self.waited(), now + WAITED
+            self._held, self._fresh_from = stood, now + WAITED
             self._recent = (*(h for h in self._recent if now < h[1]), (stood, now + AGAIN))
-        if now - self._looked > WAITED:
+        if now - self._last[0] > WAITED:
             self._in_order_from = now + AGAIN
         if stood > OLD:
             self._over = now
-        self._looked, self._spent_before = now, self._spent()
+        self._last = now, self._spent(), self._held if now < self._fresh_from else 0.0
 
     def _stood(self) -> float:
-        """For how long [s] the process has not been looked at while it did not work either."""
-        passed = self.wall() - self._looked
-        return passed if self._spent() - self._spent_before < OWN_WORK * passed else 0.0
+        """For how long [s] the process has not been looked at while it did not work either; what it had not taken in between two
+        hold-ups has waited for both."""
+        looked, spent_before, waits = self._last  # together: another thread looks
+        passed = self.wall() - looked
+        if self._spent() - spent_before >= OWN_WORK * passed:
+            return 0.0
+        return passed + waits if passed > WAITED else passed
 
     def waited(self) -> float:
         """For how long [s] a message that comes now may have waited."""
@@ -83,14 +87,14 @@ class HoldUps:
         return max(self._stood(), self._held if now < self._fresh_from else 0.0)
 
     def silence(self, seconds: float) -> bool:
-        """Whether so long a silence [s] is that of who sends: not of a process that was held up, or did other work than to listen, nor of
-        what waits for messages that found no room meanwhile."""
+        """Whether a silence of ``seconds`` that ends now means that nothing was sent. It may not where this process was held up, or its own
+        work kept it from listening, for longer than :data:`WAITED`; nor for :data:`AGAIN` afterwards, while lost messages are sent again."""
         now = self.wall()
-        return now - self._looked <= WAITED and now >= self._in_order_from + seconds
+        return now - self._last[0] <= WAITED and now >= self._in_order_from + seconds
 
     def since(self, time: float) -> bool:
         """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""
-        return time <= self._over or (time <= self._looked and self._stood() > OLD)
+        return time <= self._over or (time <= self._last[0] and self._stood() > OLD)
 
     def too_old(self, what: str, limit: float = OLD) -> str:
         """Why ``what`` has just come and does not count, for it may have waited longer than a limit [s]; empty if it does."""
