@@ -107,7 +107,7 @@ def test_drives_that_take_the_first_commands_late(made: Callable[..., Any]) -> N
     def late(*given: Any) -> None:
         began or began.append(s.sim.time)
         if s.sim.time - began[0] >= 0.3:
-            at_release or at_release.append(np.abs(s.control.adapter.controller.disturbance).max())
+            at_release or at_release.append(np.abs(s.control.adapter.controller.learned.disturbance).max())
             take(*given)
 
     s.sim._take = late

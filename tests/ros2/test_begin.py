@@ -24,6 +24,7 @@ if not MISSING:
     from wbmpc.ros2.plants import ActiveTrajectory
     from wbmpc.ros2.robot import BusRobot
     from wbmpc.ros2.sim import SimNode
+    from wbmpc.ros2.trajectory_client import places_of
 
 
 class Eager:
@@ -106,14 +107,51 @@ def test_in_lockstep_every_state_has_commands_to_wait_for(control: float, trajec
     assert not missed and sent["wheel_controller"] == pytest.approx(0.6 * control, abs=control * sim.period + 1.0)
 
 
+def test_a_robot_that_is_held_is_let_go_by_commands_of_every_kind() -> None:
+    """A base type of another package may fall without them, and take speeds or trajectories: zeros and a trajectory of one point at rest are those
+    of a stop. Truth: whether its physics goes on."""
+    robot = load_robot("pr2")
+    kind = settings_of(robot)
+    arm = {"topic": "/arm", "joints": list(robot.input.groups["arm"]), "takes": "trajectory"}
+    others = {n: c.model_dump() for n, c in kind().command_topics(robot).items() if n != "arm_controller"}
+    given = {"controllers": {**others, "arm_controller": arm}}
+    joints = robot.home[robot.state["arm"]]
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0))
+
+    def speed(vx: float) -> Any:
+        vector = lambda x: SimpleNamespace(x=x, y=0.0, z=0.0)
+        return SimpleNamespace(header=header, twist=SimpleNamespace(linear=vector(vx), angular=vector(0.0)))
+
+    def led(points: int) -> Any:
+        point = lambda k: SimpleNamespace(
+            positions=joints, velocities=(), accelerations=(), effort=(),
+            time_from_start=SimpleNamespace(sec=k, nanosec=0),
+        )  # fmt: skip
+        return SimpleNamespace(header=header, joint_names=arm["joints"], points=[point(k + 1) for k in range(points)])
+
+    node = open_node("held", "dds", Network.of(private()))
+    try:
+        for takes, stops, goes in (("twist", speed(0.0), speed(0.1)), ("trajectory", led(1), led(2))):
+            sim = SimNode(node, robot, kind.model_validate(given))
+            sim.side.held = True
+            name = next(n for n, c in sim._controllers.items() if c.takes == takes)
+            places = [places_of(robot)[j] for j in sim._controllers[name].joints]
+            for message, moves in ((stops, False), (goes, True)):
+                sim._follow(name, places, message)
+                sim._advance()
+                assert (sim.plant.time > 0.0) is moves, (takes, moves)
+    finally:
+        node.close()
+
+
 def test_who_falls_says_what_counts_as_the_fall_and_why_it_came_to_it() -> None:
     robot = load_robot("rezero")
     node = open_node("falls", "dds", Network.of(private()))
     try:
         sim = SimNode(node, robot, settings_of(robot).model_validate({"use_sim_time": True}), factor=1e3)
-        with sim._changed:
-            for name in sim._controllers:
-                sim._answered(name)  # the first command, and the last
+        for name, controller in sim._controllers.items():  # the first command, and the last
+            targets = [places_of(robot)[j] for j in controller.joints]
+            sim._take(name, targets, SimpleNamespace(data=np.full(len(targets), 1e-6)))
         why = sim.spin(lambda: False, 20.0)
     finally:
         node.close()

@@ -23,9 +23,10 @@ from wbmpc.bases.wheels.control import wheels_base
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
+from wbmpc.ros2.clock import BusClock
 from wbmpc.ros2.control import ControlNode
 from wbmpc.ros2.goals import Planner
-from wbmpc.ros2.hold_ups import HoldUps
+from wbmpc.ros2.hold_ups import AGAIN, HoldUps
 from wbmpc.ros2.joints import Waited
 from wbmpc.ros2.localization import ExternalPose, PoseSource
 from wbmpc.ros2.request_queue import RequestQueue
@@ -283,17 +284,20 @@ def test_the_silence_of_a_process_that_was_held_up_is_no_pause_of_a_stream(held:
 @pytest.mark.skipif(
     not hasattr(time, "CLOCK_BOOTTIME"), reason="this system does not say for how long it was suspended"
 )
-@pytest.mark.parametrize("balances", [False, True])
-def test_a_robot_whose_machine_was_suspended_stops(balances: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By steady clocks nothing has passed: every tick seems to be in time, and nothing has waited. What balances goes on. By hand: a quick look, a
-    slow one, a minute of sleep, and a goal of before it."""
+@pytest.mark.parametrize(("clock", "balances"), [(WallClock(), False), (WallClock(), True), (BusClock(), False)])
+def test_a_robot_whose_machine_was_suspended_stops(
+    clock: WallClock | BusClock, balances: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By steady clocks nothing has passed: every tick seems to be in time, and nothing has waited. What balances goes on, and so does what lives
+    by a simulator's time: a minute of the wall may be nothing for it. By hand: a quick look, a slow one, a minute of sleep, and a goal
+    of before it."""
     machine = [10.0]
     monkeypatch.setattr("time.clock_gettime", lambda clock: {time.CLOCK_BOOTTIME: machine[0]}[clock])
     monkeypatch.setattr("time.monotonic", lambda: 5.0)
     hold_ups, stopped = HoldUps(spent=lambda: 0.0), list[str]()
     control = SimpleNamespace(
         runner=SimpleNamespace(stopped=False), running=True, adapter=SimpleNamespace(must_keep_running=balances),
-        hold_ups=hold_ups, _began=hold_ups.wall(), _graph_checked_at=5.0, _stop_runner=stopped.append,
+        clock=clock, hold_ups=hold_ups, _began=hold_ups.wall(), _graph_checked_at=5.0, _stop_runner=stopped.append,
         **dict.fromkeys(("_check_clock", "_check_other_publishers"), lambda: None),
     )  # fmt: skip
     for slept in (0.02, 0.5, 60.0):
@@ -301,7 +305,7 @@ def test_a_robot_whose_machine_was_suspended_stops(balances: bool, monkeypatch: 
         hold_ups.look()
         machine[0] += slept
         ControlNode._supervise(control)  # type: ignore[arg-type]
-    assert bool(stopped) is not balances
+    assert bool(stopped) is (isinstance(clock, WallClock) and not balances)
     assert hold_ups.too_old("a goal")
     with pytest.raises(InputError, match="from before the node was held up"):
         hold_ups.check(10.0)
@@ -364,6 +368,117 @@ def test_a_speed_beside_a_stop_counts_before_it_or_not_at_all() -> None:
     bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
     stops[0].join()
     assert queue.take() is None and queue._latched
+
+
+class OtherFirst:
+    """A queue's lock whose next user finds that another thread has been faster: ``first`` is done before."""
+
+    def __init__(self, queue: RequestQueue) -> None:
+        self._lock, queue._lock = queue._lock, self  # type: ignore[assignment]
+        self.first: Callable[[], None] | None = None
+
+    def __enter__(self) -> None:
+        first, self.first = self.first, None
+        if first is not None:
+            first()
+        self._lock.acquire()
+
+    def __exit__(self, *given: Any) -> None:
+        self._lock.release()
+
+
+def test_a_goal_that_replaces_a_speed_does_not_end_as_that_speed() -> None:
+    """A speed comes while a goal waits for the queue. Truth: by hand; the goal counts, and nothing slows it down when a speed would have run
+    out."""
+    robot = load_robot("differential-ur10")
+    bus, now = Listening(), [10.0]
+    queue, _ = listening(robot, settings_of(robot)(), bus, now)
+    other, goal = OtherFirst(queue), SimpleNamespace(description="a goal")
+    other.first = lambda: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
+    queue._put_goal(lambda x, t: goal)  # type: ignore[arg-type, return-value]
+    assert other.first is None
+    request = queue.take()
+    assert request is not None and request(robot.home, 0.0) is goal
+    queue.running = goal  # type: ignore[assignment]
+    now[0] += 0.6
+    assert queue.take() is None
+
+
+def test_a_speed_that_comes_as_the_one_before_it_runs_out_counts() -> None:
+    """It is faster than the node, which takes up what to do. Truth: by hand; the robot does not slow down."""
+    robot = load_robot("differential-ur10")
+    bus, now = Listening(), [10.0]
+    queue, _ = listening(robot, settings_of(robot)(), bus, now)
+    speed = lambda: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(0.5), angular=vector()))
+    speed()
+    request = queue.take()
+    assert request is not None
+    queue.running = request(robot.home, 0.0)
+    now[0] += 0.6
+    OtherFirst(queue).first = speed
+    request = queue.take()
+    assert request is not None and not request.rest
+    now[0] += 0.6
+    request = queue.take()
+    assert request is not None and request.rest
+
+
+def test_a_pause_that_does_not_count_is_not_asked_for() -> None:
+    """A robot was stopped, and its process is busy for 0.2 s every 3 s: pauses of 0.6 s do not count, as messages may have been lost meanwhile.
+    What is asked for counts. By hand."""
+    robot = load_robot("differential-ur10")
+    bus, now = Listening(), [10.0]
+    queue, look = listening(robot, settings_of(robot)(), bus, now)
+    speed = lambda v: bus.take["/cmd_vel"](SimpleNamespace(linear=vector(v), angular=vector()))
+
+    def wait(seconds: float) -> None:
+        for _ in range(round(seconds / 0.02)):
+            now[0] += 0.02
+            look()
+
+    look()
+    speed(0.5)
+    queue.stop()
+    speed(0.5)
+    assert queue.rejected.endswith("after a zero or a pause of 0.5 s")
+    for _ in range(4):
+        now[0] += 0.2
+        look()
+        wait(2.2)
+        speed(0.5)
+        assert queue.take() is None and "after a zero" in queue.rejected and "a pause of" not in queue.rejected
+        wait(0.6)
+    speed(0.0)
+    speed(0.5)
+    assert queue.take() is not None
+    queue.stop()
+    wait(AGAIN + 0.5)
+    speed(0.5)
+    assert queue.take() is not None
+
+
+@pytest.mark.parametrize("looks", [1, 3, 7])
+def test_what_waits_between_two_hold_ups_has_waited_for_both(looks: int) -> None:
+    """Of 0.6 s each, with ``looks`` 0.02 s apart between them: within 0.1 s not all that waited is taken in. By hand; seen by a thread that is
+    faster than the next look, and afterwards. Goals that were taken in before waited for neither longer than 1 s."""
+    now = [10.0]
+    hold_ups = HoldUps(lambda: now[0], lambda: 0.0)
+    hold_ups.look()
+    now[0] += 0.6
+    hold_ups.look()
+    for _ in range(looks - 1):
+        now[0] += 0.02
+        hold_ups.look()
+    now[0] += 0.6
+    waited = 1.2 if looks < 6 else 0.6
+    for _ in range(2):
+        assert hold_ups.waited() == pytest.approx(waited)
+        assert bool(hold_ups.too_old("a goal")) is (waited > 1.0) and not hold_ups.since(10.0)
+        hold_ups.look()
+    for _ in range(6):
+        now[0] += 0.02
+        hold_ups.look()
+    assert hold_ups.waited() == 0.0 and bool(hold_ups.too_old("a goal")) is (waited > 1.0)
 
 
 #: Works for long beside the thread that looks, then waits to be stopped; says whether a goal of its beginning is old.

@@ -164,7 +164,7 @@ def test_what_came_before_time_went_back_is_old() -> None:
     node: Any = SimpleNamespace(subscribe=subscribe, publishers=lambda topic: [])
     settings = settings_of(ROBOT)(topics={"pose": "/pose"})
     planner: Any = SimpleNamespace(robot=ROBOT)
-    requests = RequestQueue(HoldUps(), node, planner, settings, lambda: 0.0, clock.steady, clock.lived)
+    requests = RequestQueue(HoldUps(), node, planner, settings, lambda: 0.0, clock.steady, clock.elapsed)
     poses = PoseSource(node, settings, clock.steady, clock.stamp)
     frames = Transforms(node, "odom", "base_link", clock.steady)
 
@@ -194,7 +194,7 @@ def test_what_came_before_time_went_back_is_old() -> None:
         send()
         assert requests.take() is None and requests.wrench().any() and not poses.lost()
         clock.set(0.1 * k)
-    for k in range(7):  # the leap was no pause of the stream of speeds
+    for k in range(7):  # the jump was no pause of the stream of speeds
         clock.set(1.0 + 0.1 * k)
     send()
     assert requests.take() is not None

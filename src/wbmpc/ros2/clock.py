@@ -16,8 +16,8 @@ _ROUNDING = 1e-7
 _REORDERED = 0.02
 #: What came before time went back is so much older [s] than what comes afterwards: more than any age that the settings allow.
 _BEFORE = 100.0
-#: Messages farther apart than this [s] are a leap of time: slow simulators publish it ten times in a second.
-_LEAP = 0.2
+#: Times that are farther apart than this [s] are a jump: slow simulators publish theirs ten times in a second.
+_JUMP = 0.2
 #: Over which time [s] of the wall the speed of the bus's time is averaged.
 _MEMORY = 0.5
 
@@ -35,7 +35,7 @@ class BusClock:
         self.delay, self.in_turns = delay, delay is not None
         self.origin, self.heard = 0.0, None  # type: float, float | None
         self._time, self.went_back = 0.0, False
-        self._steady = self._ahead = self._lived = 0.0
+        self._steady = self._ahead = self._elapsed = 0.0
         self._stood = 0.0, 1.0  # the longest silence since the restart [s of the wall], and the speed before it
         self._changed = threading.Condition()
         self._released = False
@@ -59,7 +59,7 @@ class BusClock:
                     self._stood = max(self._stood, (self.heard - previous, self.speed))
                 if previous is not None and time_of_bus > self._time:
                     self._pass(min(time_of_bus - self._time, _MEMORY), max(self.heard - previous, 1e-6))
-            self._lived += min(max(time_of_bus - self._time, 0.0), _LEAP)
+            self._elapsed += min(max(time_of_bus - self._time, 0.0), _JUMP)
             self._time, self._steady = time_of_bus, time_of_bus + self._ahead
             self._changed.notify_all()
 
@@ -73,12 +73,12 @@ class BusClock:
         return self._time
 
     def steady(self) -> float:
-        """A time [s] by which messages grow old: the bus's, but where that goes back this one makes a leap ahead."""
+        """A time [s] by which messages grow old: the bus's, but where that goes back this one jumps ahead."""
         return self._steady
 
-    def lived(self) -> float:
-        """Time [s] that has passed on the bus without its leaps: who is silent meanwhile is so by himself."""
-        return self._lived
+    def elapsed(self) -> float:
+        """Time [s] that has passed on the bus, of which a jump counts as :data:`_JUMP` at most: it is no silence of who sends."""
+        return self._elapsed
 
     def lost(self, limit: float, published: Callable[[], bool]) -> str:
         """Why there is no time any more: none for ``limit`` [s] of the wall, or for :data:`GONE` and no publisher of it; empty

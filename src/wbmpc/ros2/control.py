@@ -72,18 +72,17 @@ class ControlNode:
     def _create_parts(self) -> None:
         """What the node is made of, and its endpoints."""
         node, robot, settings = self.node, self.robot, self.settings
-        adapter = base_type(robot.description.base.type).ros(robot, settings, self.period)
-        self.adapter = cast(BaseAdapter, adapter)
+        self.adapter = cast(BaseAdapter, base_type(robot.description.base.type).ros(robot, settings, self.period))
         self.adapter.origin = lambda: self.clock.origin
         clock, wall = self.clock, time.monotonic
-        steady, lived = (clock.steady, clock.lived) if isinstance(clock, BusClock) else (wall, wall)
+        steady, elapsed = (clock.steady, clock.elapsed) if isinstance(clock, BusClock) else (wall, wall)
         self.source = PoseSource(node, settings, steady, self.now)
         self.external_pose = ExternalPose(self)
         if settings.topics.pose:
             self.adapter.fix = self.external_pose.take
         self.robot_io = BusRobot(node, self.adapter, settings, self.clock)
         self.request_queue = RequestQueue(
-            self.hold_ups, node, self.adapter.planner, settings, self._plan_origin, steady, lived
+            self.hold_ups, node, self.adapter.planner, settings, self._plan_origin, steady, elapsed
         )
         self.base_commands = self.adapter.base_commands(self)
         self.planning = Planning(self.adapter.references)
@@ -316,8 +315,9 @@ class ControlNode:
     def _supervise(self) -> None:
         if self.runner is not None and self.runner.stopped:
             self._after_stop()
-        if self.running and not self.adapter.must_keep_running and self.hold_ups.since(self._began):
-            # by the runner's clock nothing has passed while a machine is suspended
+        slept = isinstance(self.clock, WallClock) and self.hold_ups.since(self._began)
+        if slept and self.running and not self.adapter.must_keep_running:
+            # the runner's clock stands still while a machine is suspended; the bus's does not, and runs at its own speed
             self._stop_runner("the machine was suspended, or the process was held up")
         self._check_clock()
         if time.monotonic() - self._graph_checked_at > GRAPH_POLL_PERIOD:

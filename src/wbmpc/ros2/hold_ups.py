@@ -39,12 +39,12 @@ class HoldUps:
         self, wall: Callable[[], float] = machine_time, spent: Callable[[], float] = time.process_time
     ) -> None:
         self.wall, self._spent = wall, spent
-        self._spent_before = spent()
-        self._looked, self._over = np.inf, -np.inf  # the last look, and the end of the last long hold-up [s]
+        # the last look [s], what the process had worked by then [s], and how long messages that it had not taken in had waited [s]
+        self._last = np.inf, spent(), 0.0
+        self._over = -np.inf  # the end of the last long hold-up [s]
         self._held, self._fresh_from, self._in_order_from = 0.0, -np.inf, -np.inf
-        self._recent: tuple[
-            tuple[float, float], ...
-        ] = ()  # how long hold-ups were, and until when messages of theirs may come [s]
+        # of each hold-up: how long messages have waited, and until when they may come [s]
+        self._recent: tuple[tuple[float, float], ...] = ()
         self._ended = threading.Event()
 
     def begin(self) -> None:
@@ -62,35 +62,38 @@ class HoldUps:
 
     def look(self) -> None:
         """Messages that have come since the last look may be of any time since then, if that was long ago."""
-        now, stood = self.wall(), self._stood()
+        now, stood = self.wall(), self._stood(self._last)
         if stood > WAITED:
             self._held, self._fresh_from = self.waited(), now + WAITED
-            self._recent = (*(h for h in self._recent if now < h[1]), (stood, now + AGAIN))
-        if now - self._looked > WAITED:
+            self._recent = (*(h for h in self._recent if now < h[1]), (self._held, now + AGAIN))
+        if now - self._last[0] > WAITED:
             self._in_order_from = now + AGAIN
         if stood > OLD:
             self._over = now
-        self._looked, self._spent_before = now, self._spent()
+        self._last = now, self._spent(), self._held if now < self._fresh_from else 0.0
 
-    def _stood(self) -> float:
-        """For how long [s] the process has not been looked at while it did not work either."""
-        passed = self.wall() - self._looked
-        return passed if self._spent() - self._spent_before < OWN_WORK * passed else 0.0
+    def _stood(self, last: tuple[float, float, float]) -> float:
+        """For how long [s] since the ``last`` look the process has not been looked at while it did not work either."""
+        passed = self.wall() - last[0]
+        return passed if self._spent() - last[1] < OWN_WORK * passed else 0.0
 
     def waited(self) -> float:
-        """For how long [s] a message that comes now may have waited."""
-        now = self.wall()
-        return max(self._stood(), self._held if now < self._fresh_from else 0.0)
+        """For how long [s] a message that comes now may have waited: what was not taken in between two hold-ups, for both."""
+        last = self._last  # once: another thread looks
+        stood = self._stood(last)
+        before = last[2] if stood > WAITED else 0.0
+        return max(stood + before, self._held if self.wall() < self._fresh_from else 0.0)
 
     def silence(self, seconds: float) -> bool:
-        """Whether so long a silence [s] is that of who sends: not of a process that was held up, or did other work than to listen, nor of
-        what waits for messages that found no room meanwhile."""
+        """Whether a silence of ``seconds`` that ends now means that nothing was sent. It may not where this process was held up, or its own
+        work kept it from listening, for longer than :data:`WAITED`; nor for :data:`AGAIN` afterwards, while lost messages are sent again."""
         now = self.wall()
-        return now - self._looked <= WAITED and now >= self._in_order_from + seconds
+        return now - self._last[0] <= WAITED and now >= self._in_order_from + seconds
 
     def since(self, time: float) -> bool:
         """Whether there was one longer than :data:`OLD` after a ``time`` [s], also where no look has noticed it yet."""
-        return time <= self._over or (time <= self._looked and self._stood() > OLD)
+        last = self._last
+        return time <= self._over or (time <= last[0] and self._stood(last) > OLD)
 
     def too_old(self, what: str, limit: float = OLD) -> str:
         """Why ``what`` has just come and does not count, for it may have waited longer than a limit [s]; empty if it does."""

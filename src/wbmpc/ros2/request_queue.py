@@ -18,7 +18,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.ros2.bus import DEFAULT, LONG, Node
 from wbmpc.ros2.convert import error_message, planar, planar_path, read_pose, read_poses, read_vector, seconds
 from wbmpc.ros2.goals import Planner, Task, base_track, end_effector_track
-from wbmpc.ros2.hold_ups import WAITED, HoldUps
+from wbmpc.ros2.hold_ups import AGAIN, WAITED, HoldUps
 from wbmpc.ros2.multi_type_subscriber import MultiTypeSubscriber
 from wbmpc.ros2.settings import RosSettings
 
@@ -51,15 +51,15 @@ class RequestQueue:
     not taken; empty when one has been taken since.
 
     ``hold_ups`` of the process; ``origin()``: the bus's time [s] that is 0 for the plan; ``now()`` [s]: by which speeds run out;
-    ``lived()`` [s]: by which a stream of speeds pauses, without the leaps of the other one.
+    ``elapsed()`` [s]: by which the pauses of a stream of speeds are measured; it leaves out jumps of simulated time.
     ``running``: the task in force, set by who takes them up.
     """
 
     def __init__(
-        self, hold_ups: HoldUps, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time, lived: Time
+        self, hold_ups: HoldUps, node: Node, planner: Planner, settings: RosSettings, origin: Time, now: Time, elapsed: Time
     ) -> None:  # fmt: skip
         self.node, self.planner, self.settings = node, planner, settings
-        self.origin, self.now, self.lived, self.hold_ups = origin, now, lived, hold_ups
+        self.origin, self.now, self.elapsed, self.hold_ups = origin, now, elapsed, hold_ups
         self.rejected = self._limited = ""
         self.running: Task | None = None
         self._limited_log = RateLimit()
@@ -87,8 +87,9 @@ class RequestQueue:
     # ------------------------------------------------------------------ taken up
     def take(self) -> Request | None:
         """The newest request, once. One that waited in a process that was held up is rejected."""
-        if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
-            self._slow_down()
+        with self._lock:  # a speed comes before this question or after the answer
+            if self._moving and self.now() - self._twist_at > self.settings.safety.cmd_vel:
+                self._slow_down()
         while True:
             with self._lock:
                 if not self._requests:
@@ -171,8 +172,8 @@ class RequestQueue:
 
     def _put(self, request: Request, kind: str = "") -> None:
         """``kind`` of paths: a path replaces what waits but for the other kind of path."""
-        self._moving = False
         with self._lock:
+            self._moving = False
             others = {k: r for k, r in self._requests.items() if kind and k and k != kind}
             self._requests = {**others, kind: request}
 
@@ -225,15 +226,21 @@ class RequestQueue:
 
     def _count_speed(self, target: Array, over: float) -> None:
         """Take a speed (3) that is ``over`` 1 too fast, if it is of now."""
-        previous, self._spoken_at = self._spoken_at, self.lived()
+        previous, self._spoken_at = self._spoken_at, self.elapsed()
         pause, old = self.settings.safety.cmd_vel, self._too_old("the speed")
         if np.any(target) and old:
             raise InputError(old)
-        paused = self._spoken_at - previous > pause and self.hold_ups.silence(pause)
+        in_order = self.hold_ups.silence(pause)
+        paused = in_order and self._spoken_at - previous > pause
         waited = bool(old) or self.hold_ups.waited() > WAITED  # a zero of before the stop, or of while nobody listened
         self._latched = self._latched and (waited or (bool(np.any(target)) and not paused))
         if self._latched:
-            raise InputError(f"the robot has stopped: speeds count again after a zero or a pause of {pause:g} s")
+            ways = (
+                f"a zero or a pause of {pause:g} s"
+                if in_order
+                else f"a zero (no pause counts for {AGAIN:g} s after the node was held up or busy)"
+            )
+            raise InputError(f"the robot has stopped: speeds count again after {ways}")
         self._twist_at = self.now()
         if np.any(target):
             self._limit(target if over > 1.0 + 1e-9 else None)

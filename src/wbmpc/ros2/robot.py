@@ -343,9 +343,8 @@ class BusRobot:
         To be called again and again.
         """
         now, ramp = time.perf_counter(), self.settings.safety.ramp
-        if getattr(
-            self.clock, "went_back", False
-        ):  # a simulated robot that has restarted stands: nothing is left of its speeds
+        restarted = getattr(self.clock, "went_back", False)
+        if restarted:  # a simulated robot stands then: nothing is left of its speeds
             self.commanded = self.adapter.rest()
         if self._stopping is None:
             # from the last command on: to who has sent nothing for long the drives have stopped by themselves, but in lockstep they wait

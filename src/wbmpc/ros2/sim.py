@@ -147,6 +147,7 @@ class SimNode:
         speeds = ordered_speeds(self.robot, message)
         with self._changed:
             self._groups[WHEELS][:] = speeds
+            self._begun |= bool(np.any(speeds))
             self._answered(name)
 
     def _take_trajectory(self, name: str, places: list[tuple[str, int]], message: Any) -> None:
@@ -154,6 +155,7 @@ class SimNode:
         led = self.side.lead(self._bus_names[name], places, message, self.now())
         with self._changed:
             self.side.led[name] = led
+            self._begun |= len(message.points) > 1  # a stop's has one point, at rest
             self._answered(name)
 
     def _answered(self, name: str) -> None:

@@ -95,7 +95,8 @@ class BusBallController(BallController):
         if self._moves(message):
             self._monitor_encoders(message.time, message.arm, interval or self.period)
             self._detect_pushes(interval or self.period)
-            if self.learned.observer is not None and self.measured is not None:
+            if self.learned.observer is not None:
+                assert self.measured is not None
                 self.learned.learn(self.measured, interval or self.period, self.sent, self._steps)
         self.mpc.solver.set_parameters(self.parameters())
 
