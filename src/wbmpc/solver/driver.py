@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.barrier_update import adaptive_mu, next_mu, real_time_mu, start_adaptive
-from wbmpc.solver.compilation import Floats, Integers, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.inequalities import (
     limit_products,
     raise_barrier,
@@ -26,9 +26,10 @@ from wbmpc.solver.memory_layout import (
     STATE,
     Setting,
     StateField,
+    N,
     X,
 )
-from wbmpc.solver.riccati import backward, forward, kkt_residual, value_of_subproblem
+from wbmpc.solver.riccati import backward, begin_step, end_step, kkt_residual, step_block, value_of_subproblem
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.soft_equalities import soft_residual_steps, start_soft_residuals, take_soft_residuals
 from wbmpc.solver.stages import row_count
@@ -129,10 +130,15 @@ def direction(
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])
     violation += gaps + equalities
-    largest, slope = forward(m, o, x0)
-    tilt, soft_squares = slope, 0.0
+    of_rows, soft_squares = 0.0, 0.0
+    begin_step(m, o, x0)
     if row_count(o) > 0:
-        tilt += rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
+        of_rows = rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
+    else:
+        for first in range(0, o[N], LANES):
+            step_block(m, o, first)
+    largest, slope = end_step(m, o)
+    tilt = slope + of_rows
     if o[SOFT_EQUALITIES] > 0:
         soft_slope, soft_squares = soft_residual_steps(m, o)
         slope += soft_slope
