@@ -46,7 +46,13 @@ def _splat(value: float) -> str:
 
 class _Lanes(Emitter):
     def __init__(
-        self, function: ca.Function, name: str, outputs: OutputMap, width: int, shared: Collection[int], rows: Rows | None
+        self,
+        function: ca.Function,
+        name: str,
+        outputs: OutputMap,
+        width: int,
+        shared: Collection[int],
+        rows: Rows | None,
     ) -> None:
         super().__init__(function, name, outputs)
         self.width, self.shared = width, shared

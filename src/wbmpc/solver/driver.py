@@ -24,9 +24,9 @@ from wbmpc.solver.memory_layout import (
     POLICY,
     SOFT_EQUALITIES,
     STATE,
+    N,
     Setting,
     StateField,
-    N,
     X,
 )
 from wbmpc.solver.riccati import backward, begin_step, end_step, kkt_residual, step_block, value_of_subproblem
