@@ -147,12 +147,8 @@ def direction(
         kkt, curvature = kkt_residual(m, o)
     log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + StateField.ROW_COST], violation, kkt, largest
     m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], violation
-    log[row + 4], log[row + 5], log[row + 6], log[row + 7] = (
-        0.0,
-        gaps,
-        equalities,
-        m[state + StateField.MAX_ROW_RESIDUAL],
-    )
+    log[row + 4], log[row + 5], log[row + 6] = 0.0, gaps, equalities
+    log[row + 7] = m[state + StateField.MAX_ROW_RESIDUAL]
     log[row + 8], log[row + 9] = m[state + StateField.MAX_COMPLEMENTARITY], m[state + StateField.BARRIER]
     log[row + 10], log[row + 11] = m[state + StateField.SHIFT], m[state + StateField.MAX_DUAL_STEP]
     return (
