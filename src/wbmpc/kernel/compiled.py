@@ -147,6 +147,14 @@ def by_rows(function: ca.Function, outputs: OutputMap) -> tuple[ca.Function, Out
     return ca.Function(function.name(), inputs, [value, jacobian.T]), [outputs[0], [outputs[1][i] for i in order]]
 
 
+def row_numbers(function: ca.Function) -> list[list[int]]:
+    """The row of every non-zero of rows' values and of their Jacobian by rows."""
+    return [
+        function.sparsity_out(0).row(),
+        *(function.sparsity_out(i).get_triplet()[1] for i in range(1, function.n_out())),
+    ]
+
+
 def step_pattern(transcription: Transcription, jacobian: ca.Sparsity, sizes: Sizes) -> np.ndarray:
     """Where [A b B; 0 1 0] of a step (nx + 1, nz) can differ from zero: everywhere where a jump may follow, which mixes rows."""
     pattern = np.zeros((sizes.nx + 1, sizes.nz), dtype=bool)
@@ -195,7 +203,10 @@ def _emit_blocks(
     lanes = lane_maps(maps, groups)
     made = {n: (functions[n], lanes[n]) for n in _EIGHT}
     made["rows_jacobian"] = by_rows(*made["rows_jacobian"])
-    evaluations = "\n".join(emit_lanes(f, f"l_{n}", width, to, _SHARED) for n, (f, to) in made.items())
+    evaluations = "\n".join(
+        emit_lanes(f, f"l_{n}", width, to, _SHARED, row_numbers(f) if n in ("rows", "rows_jacobian") else None)
+        for n, (f, to) in made.items()
+    )
     own, found, stages = (
         extended_pattern(jacobian, sizes),
         _sensitivity(transcription, jacobian, sizes),

@@ -200,24 +200,31 @@ class Emitter(Lines):
         return last
 
     def emit(self) -> str:
-        f = self.f
         head = [f"define i32 @{self.name}(ptr noalias readonly %arg, ptr noalias readonly %res) nounwind {{"]
         head += self.opening()
-        for k in range(f.n_instructions()):
-            op, o = f.instruction_id(k), f.instruction_output(k)
-            if op == ca.OP_CONST:
-                self.environment[o[0]] = self.constant(f.instruction_constant(k))
-            elif op == ca.OP_INPUT:
-                argument, index = f.instruction_input(k)
-                self.environment[o[0]] = self.load(argument, index)
-            elif op == ca.OP_OUTPUT:
-                value = self.environment[f.instruction_input(k)[0]]
-                for offset in self.outputs[o[0]][o[1]]:
-                    self.put(value, o[0], offset)
-            else:
-                values = [self.environment[i] for i in f.instruction_input(k)]
-                self.environment[o[0]] = self.operation(op, values)
+        self.instructions()
         return "\n".join([*head, *self.lines, *self.closing()])
+
+    def instructions(self) -> None:
+        """All of them, one after the other."""
+        for k in range(self.f.n_instructions()):
+            self.instruction(k)
+
+    def instruction(self, k: int) -> None:
+        f = self.f
+        op, o = f.instruction_id(k), f.instruction_output(k)
+        if op == ca.OP_CONST:
+            self.environment[o[0]] = self.constant(f.instruction_constant(k))
+        elif op == ca.OP_INPUT:
+            argument, index = f.instruction_input(k)
+            self.environment[o[0]] = self.load(argument, index)
+        elif op == ca.OP_OUTPUT:
+            value = self.environment[f.instruction_input(k)[0]]
+            for offset in self.outputs[o[0]][o[1]]:
+                self.put(value, o[0], offset)
+        else:
+            values = [self.environment[i] for i in f.instruction_input(k)]
+            self.environment[o[0]] = self.operation(op, values)
 
 
 def emit_function(function: ca.Function, name: str, outputs: OutputMap | None = None) -> str:

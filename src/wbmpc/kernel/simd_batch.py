@@ -17,6 +17,7 @@ from collections.abc import Collection
 import casadi as ca
 
 from wbmpc.kernel.ir import LANES, Lines
+from wbmpc.kernel.repeated_rows import Rows, Run, find_runs, nodes_of
 from wbmpc.kernel.scalar import TWO, Emitter, OutputMap, identity_map, literal
 
 #: Beyond it sine and cosine come from the C library: the reduction's products n π/2 are exact up to n = 2²⁰.
@@ -45,7 +46,13 @@ def _splat(value: float) -> str:
 
 class _Lanes(Emitter):
     def __init__(
-        self, function: ca.Function, name: str, outputs: OutputMap, width: int, shared: Collection[int]
+        self,
+        function: ca.Function,
+        name: str,
+        outputs: OutputMap,
+        width: int,
+        shared: Collection[int],
+        rows: Rows | None,
     ) -> None:
         super().__init__(function, name, outputs)
         self.width, self.shared = width, shared
@@ -53,6 +60,10 @@ class _Lanes(Emitter):
         self.angles: dict[str, tuple[str, str]] = {}
         #: of every result the literals that are stored, and where
         self.constants: dict[int, list[tuple[str, int]]] = {}
+        self.label = "entry" if width == LANES else "pass"
+        nodes = None if rows is None else nodes_of(function, outputs)
+        self.nodes = nodes or []
+        self.runs = [] if rows is None or nodes is None else find_runs(function, nodes, rows, tuple(shared))
 
     def constant(self, value: float) -> str:
         return _splat(value)
@@ -102,7 +113,7 @@ class _Lanes(Emitter):
         return head + [f"%{b}{i} = getelementptr double, ptr %{a}{i}, i64 {lane}" for a, b, i in own]
 
     def closing(self) -> list[str]:
-        lines, before = [], "entry" if self.width == LANES else "pass"
+        lines, before = [], self.label
         for result, found in self.constants.items():
             lines += self._put_constants(result, len(found), before)
             before = f"after{result}"
@@ -132,6 +143,47 @@ class _Lanes(Emitter):
             f"after{r}:",
         ]
 
+    def instructions(self) -> None:
+        """Rows that are alike in loops, each when what its first row needs is known."""
+        last = {run.own[-1]: run for run in self.runs}
+        done = {k for run in self.runs for row in run.rows for k in row}
+        values: dict[int, str] = {}
+        for k in range(self.f.n_instructions()):
+            if k in last:
+                self._loop(last[k], values)
+            elif k not in done:
+                self.instruction(k)
+                if self.nodes and self.nodes[k].op != ca.OP_OUTPUT:
+                    values[k] = self.environment[self.f.instruction_output(k)[0]]
+
+    def _loop(self, run: Run, values: dict[int, str]) -> None:
+        """``values``: of the instructions before."""
+        name, angles, moved = f"row{run.own[0]}", dict(self.angles), dict[tuple[str, int, int], str]()
+        values = dict(values)
+        self.lines += [f"br label %{name}", f"{name}:"]
+        self.lines.append(f"%{name}.i = phi i64 [0, %{self.label}], [%{name}.j, %{name}]")
+
+        def place(array: str, k: int) -> str:
+            (which, index), stride = self.nodes[k].place, run.strides[k]
+            key = array, which, stride
+            if key not in moved:
+                by = self.new(f"mul i64 %{name}.i, {LANES * stride}")
+                moved[key] = self.new(f"getelementptr double, ptr %{array}{which}, i64 {by}")
+            return self.new(f"getelementptr double, ptr {moved[key]}, i64 {LANES * index}")
+
+        align = f"align {8 * self.width}"
+        for k in run.own:
+            node = self.nodes[k]
+            if node.op == ca.OP_INPUT:
+                values[k] = self.new(f"load {self.number}, ptr {place('b', k)}, {align}")
+            elif node.op == ca.OP_OUTPUT:
+                self.lines.append(f"store {self.number} {values[node.operands[0]]}, ptr {place('s', k)}, {align}")
+            else:
+                values[k] = self.operation(node.op, [values[i] for i in node.operands])
+        self.lines += [f"%{name}.j = add i64 %{name}.i, 1", f"%{name}.c = icmp eq i64 %{name}.j, {len(run.rows)}"]
+        self.lines += [f"br i1 %{name}.c, label %after.{name}, label %{name}", f"after.{name}:"]
+        self.label, self.angles = f"after.{name}", angles
+
     def emit(self) -> str:
         text = super().emit()
         tables = []
@@ -146,11 +198,13 @@ class _Lanes(Emitter):
 
 
 def emit_lanes(
-    function: ca.Function, name: str, width: int, outputs: OutputMap | None = None, shared: Collection[int] = ()
-) -> str:
-    """LLVM IR of one SX function for eight nodes, ``width`` of them at once; ``shared``: arguments that all nodes share."""
+    function: ca.Function, name: str, width: int, outputs: OutputMap | None = None, shared: Collection[int] = (),
+    rows: Rows | None = None,
+) -> str:  # fmt: skip
+    """LLVM IR of one SX function for eight nodes, ``width`` of them at once; ``shared``: arguments that all nodes share. ``rows``: those of its
+    results, of which like ones become loops."""
     outputs = identity_map(function) if outputs is None else outputs
-    return _Lanes(function, name, outputs, width, shared).emit()
+    return _Lanes(function, name, outputs, width, shared, rows).emit()
 
 
 class _Helper(Lines):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wbmpc.solver.barrier_update import adaptive_mu, next_mu, real_time_mu, start_adaptive
-from wbmpc.solver.compilation import Floats, Integers, compiled
+from wbmpc.solver.compilation import LANES, Floats, Integers, compiled
 from wbmpc.solver.inequalities import (
     limit_products,
     raise_barrier,
@@ -23,11 +23,12 @@ from wbmpc.solver.memory_layout import (
     POLICY,
     SOFT_EQUALITIES,
     STATE,
+    N,
     Setting,
     StateField,
     X,
 )
-from wbmpc.solver.riccati import backward, forward, kkt_residual, value_of_subproblem
+from wbmpc.solver.riccati import backward, begin_step, end_step, kkt_residual, step_block, value_of_subproblem
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.soft_equalities import soft_residual_steps, start_soft_residuals, take_soft_residuals
 from wbmpc.solver.stages import row_count
@@ -128,10 +129,15 @@ def direction(
     for i in range(o[NX]):
         gaps += abs(x0[i] - m[o[X] + i])
     violation += gaps + equalities
-    largest, slope = forward(m, o, x0)
-    tilt, soft_squares = slope, 0.0
+    of_rows, soft_squares = 0.0, 0.0
+    begin_step(m, o, x0)
     if row_count(o) > 0:
-        tilt += rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
+        of_rows = rows_step(m, o, s[Setting.FRACTION_TO_BOUNDARY])
+    else:
+        for first in range(0, o[N], LANES):
+            step_block(m, o, first)
+    largest, slope = end_step(m, o)
+    tilt = slope + of_rows
     if o[SOFT_EQUALITIES] > 0:
         soft_slope, soft_squares = soft_residual_steps(m, o)
         slope += soft_slope
@@ -140,12 +146,8 @@ def direction(
         kkt, curvature = kkt_residual(m, o)
     log[row], log[row + 1], log[row + 2], log[row + 3] = cost - m[state + StateField.ROW_COST], violation, kkt, largest
     m[state + StateField.COST], m[state + StateField.VIOLATION] = log[row], violation
-    log[row + 4], log[row + 5], log[row + 6], log[row + 7] = (
-        0.0,
-        gaps,
-        equalities,
-        m[state + StateField.MAX_ROW_RESIDUAL],
-    )
+    log[row + 4], log[row + 5], log[row + 6] = 0.0, gaps, equalities
+    log[row + 7] = m[state + StateField.MAX_ROW_RESIDUAL]
     log[row + 8], log[row + 9] = m[state + StateField.MAX_COMPLEMENTARITY], m[state + StateField.BARRIER]
     log[row + 10], log[row + 11] = m[state + StateField.SHIFT], m[state + StateField.MAX_DUAL_STEP]
     return (

@@ -67,6 +67,7 @@ from wbmpc.solver.node_inequalities import (
     row_changes,
     start_node,
 )
+from wbmpc.solver.riccati import step_block
 from wbmpc.solver.settings import THRESHOLDS
 from wbmpc.solver.simd_batch import evaluate_rows, load_block, take_rows_of_lane
 
@@ -76,8 +77,8 @@ ROUNDING = 1e-15
 
 @compiled
 def rows_step(m: Floats, o: Integers, tau: float) -> float:
-    """Steps of slacks and multipliers; what they say of the whole step goes to ``state`` (see memory_layout.py). Returns Σ w σ e J δz, what
-    rows add to the subproblem's slope.
+    """Steps of inputs and states, and, block by block while its numbers are in the cache, those of slacks and multipliers; what they say of the
+    whole step goes to ``state`` (see memory_layout.py). Returns Σ w σ e J δz, what rows add to the subproblem's slope.
 
     ``tau``: fraction to the boundary.
     """
@@ -86,6 +87,8 @@ def rows_step(m: Floats, o: Integers, tau: float) -> float:
     for k in range(o[N] + 1):
         first, boxes, general = node_rows(o, k)
         w = m[o[GRID] + k + 1] - m[o[GRID] + k] if k < o[N] else 1.0
+        if k % LANES == 0:
+            step_block(m, o, k)
         row_changes(m, o, k)
         for j in range(0, boxes + general, LANES):
             q = k * o[ROWS] + j

@@ -106,7 +106,8 @@ def trial(m: Floats, o: Integers, x0: Floats, alpha: float, single: bool) -> tup
     cost, violation, of_rows, of_soft = 0.0, 0.0, 0.0, 0.0
     for i in range(nx):
         violation += abs(x0[i] - m[o[XT] + i])
-    for first in range(0, n, LANES):
+    for block in range((n - 1) // LANES, -1, -1):  # the last nodes were used last, and are in the cache
+        first = block * LANES
         count = min(LANES, n - first)
         load_block(m, o, first, count, o[XT], o[UT])
         if not single:

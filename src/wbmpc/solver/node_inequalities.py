@@ -170,7 +170,9 @@ def start_node(m: Floats, o: Integers, k: int, values: int, min_slack: float, ho
         t_old, l_old = m[o[ROW_T] + q : o[ROW_T] + q + LANES], m[o[ROW_L] + q : o[ROW_L] + q + LANES]
         s_old, y_old = m[o[ROW_S] + q : o[ROW_S] + q + LANES], m[o[ROW_Y] + q : o[ROW_Y] + q + LANES]
         t = np.where(h > min_slack, h, min_slack)  # also for a NaN
-        l = np.where((l_old > 0.0) & (l_old < kept), l_old, mu / t)  # noqa: E741
+        l, stays = l_old, (l_old > 0.0) & (l_old < kept)  # noqa: E741
+        if not np.all(stays):  # divisions are what a row costs
+            l = np.where(stays, l_old, mu / t)  # noqa: E741
         l = np.minimum(np.maximum(l, 1e-12), np.where(closed, 0.99 * penalty, np.inf))  # noqa: E741
         y = penalty - l
         s = np.where(closed, np.maximum(t - h, mu / y), 0.0)

@@ -237,16 +237,21 @@ def first_equalities(m: Floats, o: Integers) -> float:
 
 
 @compiled
-def forward(m: Floats, o: Integers, x0: Floats) -> tuple[float, float]:
-    """The step: (largest component, directional derivative of the cost)."""
-    n, nx, nu, lx, lz, base = o[N], o[NX], o[NU], o[LX], o[LZ], o[BASE]
-    slopes = o[PULLED] + lz + LANES
-    sizes = slopes + LANES
-    m[slopes : slopes + LANES] = np.full(LANES, 0.0)
-    m[sizes : sizes + LANES] = np.full(LANES, 0.0)
-    for i in range(nx):
+def begin_step(m: Floats, o: Integers, x0: Floats) -> None:
+    """The step of the first state; :func:`step_block` follows for all blocks, from the first on, then :func:`end_step`."""
+    sums = o[PULLED] + o[LZ] + LANES
+    for i in range(2 * LANES):
+        m[sums + i] = 0.0
+    for i in range(o[NX]):
         m[o[DX] + i] = x0[i] - m[o[X] + i]
-    for k in range(n):
+
+
+@compiled
+def step_block(m: Floats, o: Integers, first: int) -> None:
+    """The step of the inputs of up to eight nodes from ``first`` on, and of the states that follow."""
+    nx, nu, lx, lz, base = o[NX], o[NU], o[LX], o[LZ], o[BASE]
+    slopes = o[PULLED] + lz + LANES
+    for k in range(first, min(first + LANES, o[N])):
         call7(
             o[STEP],
             base + 8 * (o[AB] + k * (nx + 1) * lz),
@@ -257,15 +262,21 @@ def forward(m: Floats, o: Integers, x0: Floats) -> tuple[float, float]:
             base + 8 * o[PULLED],
             base + 8 * slopes,
         )
-    slope = np.sum(m[slopes : slopes + LANES])
-    for r in range(nx):
-        slope += m[o[DX] + n * lx + r] * m[o[G] + n * lz + r]
+
+
+@compiled
+def end_step(m: Floats, o: Integers) -> tuple[float, float]:
+    """(Largest component of the step, directional derivative of the cost)."""
+    n, slopes = o[N], o[PULLED] + o[LZ] + LANES
+    sizes, slope = slopes + LANES, np.sum(m[slopes : slopes + LANES])
+    for r in range(o[NX]):
+        slope += m[o[DX] + n * o[LX] + r] * m[o[G] + n * o[LZ] + r]
     return np.max(m[sizes : sizes + LANES]), slope
 
 
 @compiled
 def value_of_subproblem(m: Floats, o: Integers) -> float:
-    """The least value of the quadratic problem without the constant of its cost, after :func:`forward`: what the recursion leaves in the
+    """The least value of the quadratic problem without the constant of its cost, after :func:`end_step`: what the recursion leaves in the
     extended value function of the first node, at the first node's step."""
     total, nx = m[o[VALUE] + o[NX] * o[LX] + o[NX]], o[NX]
     for i in range(nx):
