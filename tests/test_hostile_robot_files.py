@@ -208,6 +208,13 @@ def changed(tmp_path: Path, name: str, key: str, value: object) -> Path:
     return tmp_path / "robot.yaml"
 
 
+def test_omni_wheels_are_no_larger_than_their_ball(tmp_path: Path) -> None:
+    """They have no shapes in the model: 64 mm in place of 6.4 m are on a ball of 125 mm."""
+    assert load_description(changed(tmp_path, "rezero", "base.wheels.radius", 0.07)).base.wheels.radius == 0.07
+    with pytest.raises(InputError, match=r"robot.yaml: .*wheels.radius: 6.4 m is more than the radius of the ball"):
+        load_description(changed(tmp_path, "rezero", "base.wheels.radius", 6.4))
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ from effort import some
 from small_problems import cartpole
 from toys import LinearQuadratic
 from wbmpc.errors import InputError, NotFinite, SolverBusy
+from wbmpc.mpc.input_rows import InputRows
 from wbmpc.solver import SLQ, SQP, Solver, Status, Trajectory
 from wbmpc.solver.guards import Exclusive, Interruptible
 
@@ -197,6 +199,7 @@ def test_entering_again_leaves_only_at_the_end_also_by_an_exception() -> None:
 
 INTERRUPTED = """
 import os, random, signal, sys, threading, time
+import casadi as ca
 import numpy as np
 from wbmpc.solver import SQP, Solver
 from small_problems import cartpole
@@ -515,3 +518,25 @@ def test_a_guess_that_calls_its_own_update_is_one_error_and_the_mpc_goes_on() ->
             mpc.update(start)
     mpc.guess = None
     np.testing.assert_array_equal(mpc.update(start)(0.0), plain.update(start)(0.0))
+
+
+@pytest.mark.parametrize("at", [1, 2])
+def test_ctrl_c_while_an_mpc_reads_its_limits_is_not_lost(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """CasADi asks for sizes, in Python, and drops what is raised there: nothing of the MPC's own would ever hear of it."""
+    calls, size1 = 0, ca.SX.size1
+
+    def asked(self: ca.SX) -> int:
+        nonlocal calls
+        calls += 1
+        if calls == at:
+            signal.raise_signal(signal.SIGINT)
+        return int(size1(self))
+
+    def rows(solver: Solver) -> InputRows:
+        monkeypatch.setattr(ca.SX, "size1", asked)
+        return InputRows(solver)
+
+    monkeypatch.setattr("wbmpc.mpc.mpc.InputRows", rows)
+    with pytest.raises(KeyboardInterrupt):
+        wb.MPC(cartpole(5).ocp, SQP.real_time())
+    assert calls >= at

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import wbmpc as wb
 from effort import draws, thorough
 from toys import LinearQuadratic, Rows, ToyDynamics, hardened_pendulum, pendulum
 from wbmpc.errors import InputError, SolveFailed
@@ -401,3 +402,21 @@ def test_a_constraint_without_rows_changes_nothing(at: str) -> None:
     )
     assert with_it.status is Status.CONVERGED and "nothing" not in with_it.violations
     np.testing.assert_allclose(with_it.u, without.u, atol=1e-8)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-12])
+def test_a_box_in_a_tiny_unit_is_no_equality(unit: float) -> None:
+    """|unit u| ≤ 2 unit is |u| ≤ 2, the truth: its bounds are near each other as numbers, not as what inputs may do."""
+    dynamics = wb.Ode({"x": ["p", "v"]}, {"u": ["a"]}, lambda x, u: ca.vertcat(x[1], u[0]))
+
+    def solved(scale: float) -> wb.Solution:
+        ocp = wb.OptimalControlProblem(dynamics, horizon=1.0, intervals=20)
+        ocp.add(wb.Cost("state", wb.residuals.State(dynamics), [30.0, 1.0], at="path+terminal"))
+        ocp.add(wb.Cost("effort", wb.residuals.Expression(1, lambda s: s.u), 0.01))
+        bound = wb.sets.Box(-2.0 * scale, 2.0 * scale)
+        ocp.add(wb.Constraint("limit", wb.residuals.Expression(1, lambda s: scale * s.u), bound, hard=True))
+        return wb.Solver(ocp).solve(np.array([1.0, 0.0]))
+
+    truth, found = solved(1.0), solved(unit)
+    assert truth.status is found.status is wb.Status.CONVERGED and np.abs(truth.u).max() > 1.9
+    np.testing.assert_allclose(found.u, truth.u, atol=1e-6)

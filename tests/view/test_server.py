@@ -102,6 +102,22 @@ def test_the_log_has_no_token_and_no_lines_of_pages(caplog: pytest.LogCaptureFix
     assert not [line for line in [*lines, *said] if not line.isprintable()]
 
 
+@pytest.mark.parametrize(("level", "lines"), [(logging.WARNING, False), (logging.INFO, True)])
+def test_pages_that_open_are_lines_of_the_log_on_request_alone(
+    level: int, lines: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As of any part of the package: what "wbmpc" logs is set by the command line (--verbose)."""
+    caplog.set_level(level, "wbmpc")
+    caplog.handler.setLevel(logging.DEBUG)
+    access = Access.of("127.0.0.1")
+    server, _ = open_server(access, free_port())
+    try:
+        Client(access.url(server.get_port())).drop()
+    finally:
+        server.stop()
+    assert bool(caplog.records) is lines
+
+
 def test_pages_of_another_version_are_rejected(capfd: pytest.CaptureFixture[str]) -> None:
     """viser wrote a line on the standard output for each of them, where a replay prints one JSON object."""
     server, guard = open_server(Access.of("127.0.0.1"), free_port())

@@ -26,6 +26,7 @@ from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.problem import SystemDynamics
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
+from wbmpc.solver.guards import Interruptible
 from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.warm_start import restart_from, start_from, take_as_result
@@ -64,17 +65,18 @@ class MPC(Described):
         settings = SQP.real_time() if solver is None else solver
         check_settings(ocp, settings)
         self.ocp, self.rate = ocp, float(rate)
-        self.solver = Solver(ocp, settings)
+        with Interruptible():
+            self.solver = Solver(ocp, settings)
+            self._clear = ClearanceRows(ocp, self.solver, obstacles)
+            terms = {t.name: t.residual for t in ocp.terms.values()}
+            self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
+            if not plan_only_limits:
+                check_limits(self.solver, self._follow_last)
+            self._input_rows = InputRows(self.solver)
+            #: what is followed, where the problem has progress along a path: see :class:`wbmpc.mpc.path.PathProgress`
+            self.path = PathProgress(ocp, self.solver, self._input_rows.limits)
         self.reference = References(self.solver)
-        self._clear = ClearanceRows(ocp, self.solver, obstacles)
         self.statistics = Statistics()
-        terms = {t.name: t.residual for t in ocp.terms.values()}
-        self._follow_last = {n: r.last_inputs for n, r in terms.items() if isinstance(r, FollowsLastInput)}
-        if not plan_only_limits:
-            check_limits(self.solver, self._follow_last)
-        self._input_rows = InputRows(self.solver)
-        #: what is followed, where the problem has progress along a path: see :class:`wbmpc.mpc.path.PathProgress`
-        self.path = PathProgress(ocp, self.solver, self._input_rows.limits)
         #: bounds and straight hard rows of the inputs, which all policies hold
         self.limits = self.path.limits
         self.guess = guess

@@ -151,7 +151,7 @@ def equality_rows(
     return Equalities(expression, np.array(softness, float), names)
 
 
-#: Bounds that are nearer to each other [of 1 + their size] are one.
+#: Bounds that are nearer to each other [of the row's scale + their size] are one.
 FIXED = 1e-7
 
 
@@ -165,20 +165,25 @@ class _Side(NamedTuple):
     name: str
 
 
-def fixed(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Where both bounds are one."""
-    with np.errstate(invalid="ignore"):
-        return np.isfinite(upper - lower) & (upper - lower <= FIXED * (1.0 + np.abs(lower)))
+def fixed(lower: np.ndarray, upper: np.ndarray, jacobian: ca.SX) -> np.ndarray:
+    """Where both bounds are one, of rows with a ``jacobian`` by state and input: in tiny units bounds are always near each other."""
+
+    def near(scale: np.ndarray | float) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.isfinite(upper - lower) & (upper - lower <= FIXED * (scale + np.abs(lower))))
+
+    found = near(1.0)
+    return found & near(row_scales(jacobian)) if found.any() else found
 
 
-def _sides(term: Constraint, rows: int) -> list[_Side]:
-    names = row_names(term)
+def _sides(term: Constraint, jacobian: ca.SX) -> list[_Side]:
+    names, rows = row_names(term), jacobian.shape[0]
     if isinstance(term.set, NonNegative):
         return [_Side(i, 1.0, 0.0, 1.0, names[i]) for i in range(rows)]
     assert isinstance(term.set, Box)
     lower, upper = term.set.bounds(rows)
     # bounds that are equal but for rounding would be rows in a unit of rounding: the residual is fixed between them
-    held = fixed(lower, upper)
+    held = fixed(lower, upper, jacobian)
     middle = 0.5 * (np.where(held, lower, 0.0) + np.where(held, upper, 0.0))
     width = np.where(np.isfinite(upper - lower) & ~held, upper - lower, 1.0)
     lower, upper = np.where(held, middle, lower), np.where(held, middle, upper)
@@ -197,7 +202,7 @@ def _becomes_equality(term: Constraint, r: ca.SX, x: ca.SX, u: ca.SX) -> np.ndar
     """For every row, whether it is hard, without slack, and fixed by its bounds: a barrier has no room between them."""
     held = np.zeros(r.shape[0], bool)
     if term.hard and isinstance(term.set, Box):
-        held = fixed(*term.set.bounds(r.shape[0]))
+        held = fixed(*term.set.bounds(r.shape[0]), ca.jacobian(r, ca.vertcat(x, u)))
     if not held.any() or np.isinf(term.slacks).all():
         return held
     return np.asarray(held & (np.isinf(term.slacks) | (depends(r, u) & ~depends(r, x))))
@@ -225,7 +230,8 @@ def inequality_rows(
     """Sort the rows of inequality terms, given as (term, residual, switch)."""
     z = ca.vertcat(x, u)
     for term, r, switch in terms:
-        sides, jacobian = _sides(term, r.shape[0]), ca.jacobian(r, z)
+        jacobian = ca.jacobian(r, z)
+        sides = _sides(term, jacobian)
         selection = None if term.modes is not None else single_variables(r, z, jacobian)
         with_state, with_input = (
             _rows_in(jacobian.sparsity(), part) for part in (slice(x.shape[0]), slice(x.shape[0], None))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
 from wbmpc.ocp import Constraint, Transcription
@@ -90,7 +91,7 @@ def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status
     problem, ws = solver.problem, solver.ws
     for name, found in sorted(violations.items(), key=lambda v: -v[1].value):
         term: Any = problem.ocp.terms[name]
-        relaxed = _relaxed(term, found)
+        relaxed = _relaxed(problem, term, found)
         if not must_hold(problem, term) or found.value < min(1e-10, relaxed):
             continue
         if term.hard and found.value > relaxed:
@@ -105,14 +106,15 @@ def _converged(solver: Solver, violations: dict[str, Violation]) -> tuple[Status
     return Status.CONVERGED, _no_minimum(solver) + certificate.unstable_interval(problem, ws).removeprefix("; ")
 
 
-def _relaxed(term: Constraint, found: Violation) -> float:
+def _relaxed(problem: Transcription, term: Constraint, found: Violation) -> float:
     """From where on a violation of a hard limit counts as relaxed, in the residual's unit."""
     if not isinstance(term.set, Box):
         return RELAXED
     lower, upper = term.set.bounds(term.residual.size)
     i = row_names(term).index(found.row)
     share = RELAXED_SHARE * float(upper[i] - lower[i])
-    return RELAXED if fixed(lower[i], upper[i]) else min(RELAXED, share)
+    same = fixed(lower, upper, ca.jacobian(problem.residual(term), problem.z))[i]
+    return RELAXED if same else min(RELAXED, share)
 
 
 def _no_minimum(solver: Solver) -> str:

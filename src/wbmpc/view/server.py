@@ -151,11 +151,10 @@ class Guard:
         self.installed = False
         # not one of the registered loggers: their filters would add up over several servers
         self.log = logging.Logger("wbmpc.view")
-        self.log.parent = logging.getLogger("wbmpc")
+        self.log.parent = parent = logging.getLogger("wbmpc")
         self.log.addFilter(RateLimitFilter(brief=True))
-        self.log.setLevel(
-            logging.INFO
-        )  # below, every request is logged as it came: with the token, and cookies of other servers
+        # below INFO, every request is logged as it came: with the token, and cookies of other servers
+        self.log.setLevel(max(logging.INFO, parent.getEffectiveLevel()))
 
     # ------------------------------------------------------------------ requests
     def answer(self, connection: Any, request: Any, serve: Callable[..., Any]) -> Any:

@@ -64,6 +64,14 @@ class BallBaseDescription(BaseDescription):
             raise ValueError(f"contact_frame: every frame once, got {', '.join(self.contact_frame)}")
         return self
 
+    @model_validator(mode="after")
+    def _wheels_fit(self) -> Self:
+        if self.wheels.radius > self.ball_radius:  # they have no bodies in a model that would say so
+            raise ValueError(
+                f"wheels.radius: {self.wheels.radius:g} m is more than the radius of the ball that they turn, {self.ball_radius:g} m"
+            )
+        return self
+
     def parts(self) -> dict[str, str]:
         return {"ball": self.ball}
 
