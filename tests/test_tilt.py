@@ -65,7 +65,7 @@ def test_a_level_base_with_that_arm_has_its_end_effector_where_a_tilted_one_has_
     assert np.linalg.norm(tilted - position) > 3e-3
 
 
-def test_the_frame_of_a_leaning_base_turns_about_its_axle() -> None:
+def test_the_frame_of_a_tilted_base_turns_about_its_axle() -> None:
     """Hubs stay a radius above the floor, so the frame under them swings ahead or back by its sine; half a turn doubles that."""
     robot, h = load_robot("differential-ur10"), 0.01
     base, poses = planar_base(robot), []
