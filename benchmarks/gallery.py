@@ -1,8 +1,9 @@
 """Public robots with default weights, kinematically: four paths of 5 m and jumps of the goal for each, without tuning.
 
-``python benchmarks/gallery.py [--robots NAME …] [--quick] [--out FILE.json]``. Robots of the package come from their own small files, others from the
-Python packages that provide their descriptions (``pip install example-robot-data hello-robot-stretch-urdf``): these are described by
-`wbmpc new --yes` first, and skipped where their package is not installed.
+``python benchmarks/gallery.py [--robots NAME …] [--quick] [--out FILE.json] [--study FOLDER]``. Robots of the package come from their own
+small files, others from the Python packages that provide their descriptions (``pip install example-robot-data hello-robot-stretch-urdf``):
+these are described by `wbmpc new --yes` first, and skipped where their package is not installed. With ``--study`` nothing runs: the study
+"gallery" in MuJoCo is written with the descriptions of all robots, for ``wbmpc study FOLDER/gallery.yaml``.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from scipy.optimize import least_squares
 
 from wbmpc.clearance.rows import SELF_REACH, SelfRows
 from wbmpc.cli import main as wbmpc
+from wbmpc.cli.study import built_in_studies
 from wbmpc.default_problem import ACCELERATION_SHARE
 from wbmpc.errors import WbmpcError
 from wbmpc.experiment import run_scenario
@@ -34,6 +37,7 @@ from wbmpc.ocp.clearance_residuals import SelfClearance, stopping_time
 from wbmpc.ocp.scaling import reach
 from wbmpc.tasks import goals, track
 from wbmpc.tasks.following import PathTaskSettings, Task
+from wbmpc.yaml_file import load_yaml
 
 #: Robots of other people's designs in small files of the package.
 OWN = ("fetch", "ffw-sg2", "panda", "panda-omni", "pr2", "ridgeback-ur5", "tidybot", "ur5", "vega")
@@ -205,6 +209,20 @@ def row(name: str, quick: bool) -> Row:
             return Row(name, failures=(str(error),))
 
 
+def write_study(names: Sequence[str], folder: Path) -> None:
+    """The built-in study "gallery" with those of ``names`` that it does not have and that other packages provide, beside their robot
+    files. Raises :class:`WbmpcError` for one that is not installed."""
+    study = load_yaml(built_in_studies()["gallery"])
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        if name in PACKAGED:
+            try:
+                study["robots"].append(packaged(name, folder).name)
+            except PackageNotFoundError as error:
+                raise WbmpcError(f"{name}: pip install {PACKAGED[name][0]}") from error
+    (folder / "gallery.yaml").write_text(yaml.safe_dump(study, sort_keys=False))
+
+
 def line(cells: Sequence[str]) -> str:
     """A row of a Markdown table."""
     return "| " + " | ".join(cells) + " |"
@@ -217,7 +235,14 @@ def main() -> int:
     parser.add_argument("--robots", nargs="+", choices=known, default=known)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--study", type=Path)
     given = parser.parse_args()
+    if given.study is not None:
+        try:
+            write_study(given.robots, given.study)
+        except WbmpcError as error:
+            sys.exit(f"gallery: {error}")
+        return 0
     rows = []
     print(line(HEAD), line(["---"] * len(HEAD)), sep="\n", flush=True)
     for name in given.robots:

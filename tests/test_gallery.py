@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import sys
 from pathlib import Path, PurePosixPath
 
@@ -12,10 +13,12 @@ import pytest
 
 from effort import some
 from wbmpc.cli import main
-from wbmpc.errors import InputError
+from wbmpc.cli.study import built_in_studies
+from wbmpc.errors import InputError, WbmpcError
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_spec
 from wbmpc.robots.doctor import examine_robot
+from wbmpc.study.study import Study
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
@@ -68,6 +71,22 @@ def test_a_robot_whose_package_is_not_installed_is_skipped(
     monkeypatch.setattr(sys, "argv", ["gallery.py", "--robots", "tiago"])
     assert gallery.main() == 0
     assert "| skipped: pip install no-such-distribution |" in capsys.readouterr().out
+
+
+def test_the_study_has_robots_of_other_packages_too(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Truth: the number of runs, two experiments of each robot; a package that is missing is named."""
+    monkeypatch.setattr(gallery, "packaged", lambda name, folder: Path(shutil.copy(own, folder / f"{name}.yaml")))
+    own = tmp_path / "own.yaml"
+    own.write_text("name: tiago")
+    monkeypatch.setattr(sys, "argv", ["gallery.py", "--study", str(tmp_path / "all"), "--robots", "tiago", "fetch"])
+    assert gallery.main() == 0
+    study, alone = Study.load(tmp_path / "all" / "gallery.yaml"), Study.load(built_in_studies()["gallery"])
+    assert study.planned == alone.planned + 2 * 10 and alone.planned == 2 * 10 * 7
+    assert str(tmp_path / "all" / "tiago.yaml") in {c.changes["robot"] for c in study.combinations}
+    monkeypatch.undo()
+    monkeypatch.setitem(gallery.PACKAGED, "tiago", ("no-such-distribution", "tiago.urdf", ()))
+    with pytest.raises(WbmpcError, match="tiago: pip install no-such-distribution"):
+        gallery.write_study(["tiago"], tmp_path / "none")
 
 
 def test_a_robot_that_does_not_load_is_a_failed_row_and_the_next_one_runs(

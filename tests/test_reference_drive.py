@@ -30,7 +30,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Strokes of 1 m and 1 rad, and no calibration that was kept before."""
-    for name, value in (("STRAIGHT", 1.0), ("TURN", 1.0), ("STANDING", 0.5)):
+    for name, value in (("STRAIGHT", 1.0), ("TURN", 1.0), ("STANDING", 0.5), ("BENDS", 0)):
         monkeypatch.setattr(reference_drive, name, value)
     monkeypatch.setenv("WBMPC_CACHE_DIR", str(tmp_path))
 
@@ -55,9 +55,14 @@ def test_a_run_knows_the_radii_that_its_robot_has(robot: RobotModel, short: None
 def test_orders_lead_back_and_forth_with_every_speed_of_the_base() -> None:
     for name, directions in (("differential-ur10", 2), ("mecanum-ur10", 3)):
         orders = np.array(reference_drive.strokes(load_robot(name)))
+        whole, orders = orders, orders[: 4 * directions + 1]
         moving = orders[np.abs(orders[:, 1:]).max(axis=1) > 0.0]
         assert len(moving) == 2 * directions and len(orders) == 4 * directions + 1
         np.testing.assert_allclose((moving[:, :1] * moving[:, 1:]).sum(axis=0), 0.0, atol=1e-12)
+        bends = whole[len(orders) :]  # of a base that cannot go to the side: all pressed to the same one
+        assert len(bends) == (4 * reference_drive.BENDS + 1) * (directions == 2)
+        assert (bends[:, 1] * bends[:, 3] >= 0.0).all()
+        np.testing.assert_allclose((bends[:, :1] * bends[:, 1:]).sum(axis=0), 0.0, atol=1e-12)
 
 
 def test_a_drive_that_ends_early_gives_no_calibration(robot: RobotModel, short: None, monkeypatch: Any) -> None:

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 from wbmpc import lie
+from wbmpc.bases.planar_motion.controller import PlanarController
+from wbmpc.bases.planar_motion.messages import PlanarMeasurement
+from wbmpc.bases.planar_motion.model import planar_base
 from wbmpc.bases.planar_motion.tilt import LevelArm, TiltFilter
 from wbmpc.model.robot import RobotModel, load_robot
 
@@ -60,6 +63,24 @@ def test_a_level_base_with_that_arm_has_its_end_effector_where_a_tilted_one_has_
     tilted = floor + about_z @ rotation(lean) @ about_z.T @ (position - floor)
     np.testing.assert_allclose(robot.pose(LevelArm(robot)(x, lean))[0], tilted, atol=2.5e-4)
     assert np.linalg.norm(tilted - position) > 3e-3
+
+
+def test_the_frame_of_a_tilted_base_turns_about_its_axle() -> None:
+    """Hubs stay a radius above the floor, so the frame under them swings ahead or back by its sine; half a turn doubles that."""
+    robot, h = load_robot("differential-ur10"), 0.01
+    base, poses = planar_base(robot), []
+    for lean in (np.array([0.0, 1e-9, 0.0]), np.array([0.0, 0.03, 0.0])):
+        up = rotation(lean).T @ [0.0, 0.0, 1.0]
+        controller, wheel = PlanarController(robot, np.zeros(3), h), np.zeros(2)
+        for k in range(2000):
+            turn = np.pi / 10.0 if k >= 1000 else 0.0
+            wheel = wheel + base.rates @ [0.0, turn] * h
+            accel, gyro = GRAVITY * up, turn * up
+            controller.measure(PlanarMeasurement(k * h, wheel, robot.home[3:], gyro=gyro, accel=accel))
+        poses.append(controller.pose)
+    swung = (rotation(lean) @ [0.0, 0.0, -base.geometry.radius])[0]
+    assert abs(swung) > 2e-3
+    np.testing.assert_allclose((poses[1] - poses[0])[:2], [-2.0 * swung, 0.0], atol=5e-4)
 
 
 def test_the_base_makes_up_for_a_lean_where_the_arm_cannot(tmp_path: Path) -> None:

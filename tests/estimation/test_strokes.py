@@ -69,6 +69,43 @@ def test_the_way_by_wheels_is_right_once_their_errors_are_known(noise: float, of
     assert turned < 1e-3  # how far a turn is off: shown to less than a per mille
 
 
+#: Twist and rates of two wheels of radius 0.1 m, 0.25 m beside the middle, by (v, wz).
+AHEAD, TWO = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]), np.array([[1.0, -0.25], [1.0, 0.25]]) / 0.1
+
+
+def bends(creep: float) -> dict[str, Array]:
+    """Half a minute of bends to and fro between two stands; tires give way to the outside by ``creep`` [s] times v ω, on paper."""
+    wheel, pose, found = np.zeros(2), np.zeros(3), dict[str, list[Array | float]]()
+    for i in range(round(32.0 / PERIOD)):
+        t = i * PERIOD
+        found.setdefault("wheel", []).append(wheel.copy())
+        found.setdefault("wheel.time", []).append(t)
+        found.setdefault("place", []).append(np.array([*pose, 0.005, 0.005, 0.002]))
+        found.setdefault("place.time", []).append(t)
+        if 1.0 <= t < 31.0:
+            v, turn = np.array([0.4, 0.5]) * np.sin(0.5 * np.pi * (t - 1.0))
+            wheel = wheel + TWO @ [v, turn] * PERIOD
+            pose = lie.se2_step(pose, np.array([v, -creep * v * turn, turn]) * PERIOD)
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.008])
+def test_bends_show_how_tires_creep_to_the_side(creep: float) -> None:
+    odometry = lambda wheels: PlanarOdometry(AHEAD, TWO, np.zeros(3), wheels)
+    record = bends(creep)
+    wheels = fit_errors(odometry, (2, 2), record, "drive")
+    assert wheels.creep == pytest.approx(creep, abs=1e-3)
+    driven, blind = odometry(wheels), odometry(WheelErrors.unknown(2, 2))
+    for t, row in zip(record["wheel.time"], record["wheel"], strict=True):
+        driven.update(t, row, None)
+        blind.update(t, row, None)
+    there = record["place"][-1, :2]
+    assert np.linalg.norm(driven.pose[:2] - there) < 2e-3
+    assert np.linalg.norm(blind.pose[:2] - there) == pytest.approx(
+        3.0 * creep, rel=0.1
+    )  # 0.2 m/s² on average for 30 s, halved
+
+
 def test_strokes_are_between_stands_and_poses_of_one_stand_are_averaged() -> None:
     found = Strokes.of(channels(), "drive")
     assert len(found.turned) == 6

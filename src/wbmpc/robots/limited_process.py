@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 #: Of the processor [s] for the program's work: with what its parent does then, a command stays below 10 s. Of the clock in all, for
-#: what waits; a busy computer is no fault of a model.
-PROCESSOR, CLOCK = 2.0, 20.0
+#: what waits; a busy computer, which gives a study at low priority a twentieth of a processor, is no fault of a model.
+PROCESSOR, CLOCK = 2.0, 120.0
 _PROGRAM = Path(__file__).with_name("limited_program.py")
 
 

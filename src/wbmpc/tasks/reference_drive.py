@@ -25,12 +25,15 @@ from wbmpc.tasks.base_following import RAMP, Order, base_path, lead_base, ordere
 
 #: Strokes: straight [m] and turns [rad], speeds [m/s, rad/s] and their share of the base's limits at most; standing between them [s].
 STRAIGHT, TURN, SPEED, RATE, SHARE, STANDING = 4.0, np.pi, 0.4, 0.5, 0.5, 2.0
+#: Bends of a base without a speed to the side: turn [rad] of each, and how many to and fro, which all press it to the same side.
+BEND, BENDS = 1.2, 3
 #: Messages between two that are recorded; postures at which the end effector is tracked.
 EVERY, POSTURES = 8, 24
 
 
 def strokes(robot: RobotModel) -> list[Order]:
-    """Orders of the base, as those of `cmd-vel`: every speed that it has, to and fro, and standing between them."""
+    """Orders of the base, as those of `cmd-vel`: every speed that it has, to and fro, and standing between them; bends at last, whose slips
+    to the side add up."""
     names, part = robot.input.groups["base"], robot.input["base"]
     still: Order = (STANDING + RAMP, 0.0, 0.0, 0.0)
     found = [still]
@@ -42,6 +45,11 @@ def strokes(robot: RobotModel) -> list[Order]:
         for sign in (1.0, -1.0):
             ahead, left, turn = sign * speed * np.eye(3)[column]
             found += [(way / speed, ahead, left, turn), still]
+    if "vy" not in names:
+        speed, rate = min(SPEED, fastest[0]), min(RATE, fastest[-1])
+        for sign in (1.0, -1.0) * BENDS:  # wheels would slip that reversed at once
+            found += [(BEND / rate, sign * speed, 0.0, sign * rate), (RAMP, 0.0, 0.0, 0.0)]
+        found += [still]
     return found
 
 

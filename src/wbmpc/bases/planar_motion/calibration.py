@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,13 +34,15 @@ STEPS, CHANGE, MISFIT = 3, 1e-4, 9.0
 
 @dataclass(frozen=True)
 class Strokes:
-    """What the encoders read over each of k strokes, ``turned`` (rows, n), from one of k + 1 stands to the next: its ends are where they were
-    on average while the poses of the stands were taken, whose means ``poses`` (k + 1, 3) have standard deviations ``std`` (k + 1, 3).
+    """What the encoders read over each of k strokes, ``turned`` (rows, n) at ``times`` (rows) [s], from one of k + 1 stands to the next: its
+    ends are where they were on average while the poses of the stands were taken, whose means ``poses`` (k + 1, 3) have standard deviations
+    ``std`` (k + 1, 3).
 
     (A base creeps at the ends of a stand by more than its poses are off: what is compared must be of the same moments.)
     """
 
     turned: tuple[Array, ...]
+    times: tuple[Array, ...]
     poses: Array
     std: Array
 
@@ -55,7 +58,7 @@ class Strokes:
         times = channels["wheel.time"]
         turned = np.hstack([channels[n] for n in ("wheel", "steer") if n in channels and channels[n].size])
         at, places = channels["place.time"], channels["place"]
-        rows, readings, poses, std = [], [], [], []
+        rows, middles, readings, poses, std = [], [], [], [], []
         for first, last in _stands(times, turned):
             within = (at >= times[first]) & (at <= times[last])
             if within.any():
@@ -64,15 +67,16 @@ class Strokes:
                 weights /= weights.sum(axis=0)
                 poses.append((weights * places[within, :3]).sum(axis=0))
                 readings.append(weights.mean(axis=1) @ np.array([np.interp(at[within], times, a) for a in turned.T]).T)
-                rows.append(int(np.argmin(np.abs(times - at[within].mean()))))
+                middles.append(at[within].mean())
+                rows.append(int(np.argmin(np.abs(times - middles[-1]))))
         if len(rows) < 2:
             raise InputError(
                 f"{source}: the base stands {len(rows)} times with global poses; a calibration needs strokes between two stands or more"
             )
-        strokes = [
-            np.vstack([readings[k], turned[rows[k] + 1 : rows[k + 1]], readings[k + 1]]) for k in range(len(rows) - 1)
-        ]
-        return cls(tuple(strokes), np.array(poses), np.array(std))
+        between = [slice(a + 1, b) for a, b in pairwise(rows)]
+        strokes = [np.vstack([readings[k], turned[part], readings[k + 1]]) for k, part in enumerate(between)]
+        when = [np.hstack([middles[k], times[part], middles[k + 1]]) for k, part in enumerate(between)]
+        return cls(tuple(strokes), tuple(when), np.array(poses), np.array(std))
 
     def moved(self) -> tuple[Array, Array]:
         """How the base moved over each stroke (k, 3) in axes of where it began, and the derivative (k, 3, 6) by the poses of both its
@@ -104,9 +108,9 @@ def _stands(times: Array, turned: Array) -> list[tuple[int, int]]:
     return found
 
 
-#: Motion (3) of the base by its wheels for errors (p) and what the encoders read (rows, n), in axes of where it began, and its length (2)
-#: [m, rad].
-MotionByWheels = Callable[[Array, Array], tuple[Array, Array]]
+#: Motion (3) of the base by its wheels for errors (p) and what the encoders read (rows, n) at times (rows) [s], in axes of where it began,
+#: and its length (2) [m, rad].
+MotionByWheels = Callable[[Array, Array, Array], tuple[Array, Array]]
 
 
 def fit_strokes(strokes: Strokes, motion: MotionByWheels, std: Array, source: str) -> tuple[Array, Array]:
@@ -116,7 +120,7 @@ def fit_strokes(strokes: Strokes, motion: MotionByWheels, std: Array, source: st
     precision = np.diag(1.0 / std**2)
     errors: Array = np.zeros(size)
     moved, by = strokes.moved()
-    over = lambda e: [motion(e, turned) for turned in strokes.turned]
+    over = lambda e: [motion(e, turned, times) for turned, times in zip(strokes.turned, strokes.times, strict=True)]
     noise = _noise(strokes, by, np.array([way for _, way in over(errors)]))
     inverse = np.linalg.inv(noise)
     for step in range(STEPS + 1):
@@ -154,8 +158,8 @@ def _noise(strokes: Strokes, by: Array, way: Array) -> Array:
 
 
 #: Standard deviations before any measurement (relative): of a radius, and of a speed of the base, which rollers that creep and tracks that
-#: skid make slower.
-RADIUS, SPEED = 0.01, 0.03
+#: skid make slower; of the creep of tires in bends [s].
+RADIUS, SPEED, CREEP = 0.01, 0.03, 0.01
 
 
 def fit_errors(
@@ -166,16 +170,17 @@ def fit_errors(
     wheels, _ = size
     strokes = Strokes.of(channels, source)
     encoders = channels["wheel"].shape[1]
-    split = lambda errors: WheelErrors(errors[:wheels], errors[wheels:], np.zeros((len(errors), len(errors))))
+    split = lambda errors, covariance: WheelErrors(errors[:wheels], errors[wheels:-1], covariance, errors[-1])
+    unseen = np.zeros((sum(size), sum(size)))
 
-    def motion(errors: Array, turned: Array) -> tuple[Array, Array]:
-        moving, way = odometry(split(errors)), np.zeros(2)
+    def motion(errors: Array, turned: Array, times: Array) -> tuple[Array, Array]:
+        moving, way = odometry(split(errors, unseen)), np.zeros(2)
         before = moving.pose
-        for k, row in enumerate(turned):
-            moving.turn(float(k), row[:encoders], row[encoders:], None)
+        for t, row in zip(times, turned, strict=True):
+            moving.turn(float(t), row[:encoders], row[encoders:], None)
             way += np.hypot(*(moving.pose - before)[:2]), abs(moving.pose[2] - before[2])
             before = moving.pose
         return moving.pose, way
 
-    found, covariance = fit_strokes(strokes, motion, np.repeat([RADIUS, SPEED], size), source)
-    return WheelErrors(found[:wheels], found[wheels:], covariance)
+    found, covariance = fit_strokes(strokes, motion, np.repeat([RADIUS, SPEED, CREEP], [*size, 1]), source)
+    return split(found, covariance[:-1, :-1])

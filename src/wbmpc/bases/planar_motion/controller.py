@@ -131,6 +131,9 @@ class PlanarController:
                 self.robot.base.twist @ self._rates[self.robot.input["base"]]
             )  # encoders are too coarse for accelerations
             self.tilt.update(now.time - previous.time, now.gyro, now.accel, moving)
+            (x, y, _), (ahead, left) = self.tilt.turned, self.robot.base.twist[:2, 0]
+            # hubs stay where they are, and what is under them swings
+            self.odometry.ahead = planar_base(self.robot).geometry.radius * float(left * x - ahead * y)
 
     def turning(self, previous: PlanarMeasurement, now: PlanarMeasurement) -> float | None:
         """Mean yaw rate [rad/s] of the gyro between two messages; None where the odometry takes the wheels' alone."""

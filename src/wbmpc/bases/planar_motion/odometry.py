@@ -126,13 +126,17 @@ class PlanarOdometry:
 
     ``twist`` (3, m) and ``rates`` (n, m): as in :class:`wbmpc.bases.planar_motion.model.PlanarBase`, the last column is the turn;
     ``pose0`` (3); ``wheels``: what is known of the wheels' errors (left out: nothing). ``gyro``: its bias; until it is known, but where
-    wheels contradict it whatever its bias, and while the base stands, the turn is the wheels'. ``residual`` (n) [rad]: what the wheels of
-    the last update contradict each other.
+    wheels contradict it whatever its bias, and while the base stands, the turn is the wheels'. ``ahead`` [m]: how far a lean has
+    brought the body's frame ahead of its axle, of a base without a speed to the side, whose tires creep there. ``residual`` (n) [rad]: what
+    the wheels of the last update contradict each other.
     Raises :class:`InputError` for numbers that are not finite or of another length.
     """
 
     def __init__(self, twist: Array, rates: Array, pose0: ArrayLike, wheels: WheelErrors | None = None) -> None:
         self.wheels = wheels or WheelErrors.unknown(*rates.shape)
+        #: of a base without a speed to the side: the direction to its left
+        self._left = None if twist.shape[1] > 2 else np.array([-twist[1, 0], twist[0, 0], 0.0])
+        self.ahead = 0.0
         self._twist, self._weights = twist, np.ones(len(rates))
         self._fit_to(self.wheels.corrected(rates))
         self.pose = numbers("odometry", "pose0", pose0, 3).copy()
@@ -184,7 +188,10 @@ class PlanarOdometry:
             turn = (yaw_rate - self.gyro.bias) * h
             moved = np.append(self._fit_linear @ (rolled - self._rates[:, -1] * turn), turn)
         self.residual = rolled - self._rates @ moved
-        self.pose = lie.se2_step(before, self._twist @ moved)
+        moves = self._twist @ moved
+        if self._left is not None:
+            moves += self._left * (moved[1] * (self.ahead - float(self.wheels.creep) * moved[0] / h))
+        self.pose = lie.se2_step(before, moves)
         if yaw_rate is not None:
             way = (self.pose - before)[:2]
             correction = self.gyro.update(h, yaw_rate, self._fit[-1] * rolled, self._fit[-1], led, way)

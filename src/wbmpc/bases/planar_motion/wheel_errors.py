@@ -1,8 +1,8 @@
-"""How far the radii of wheels, and what the base does by them, are from the robot's file."""
+"""How far the radii of wheels, and what the base does by them, are from the robot's file; how tires creep in bends."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,11 +15,14 @@ UNSEEN = 0.002
 @dataclass(frozen=True)
 class WheelErrors:
     """``radius`` (n): of driven wheels, relative to the file's; ``speed`` (m): the base's speeds over those that wheels of these radii give
-    it, less 1; ``covariance`` (n + m, n + m) of both."""
+    it, less 1; ``covariance`` (n + m, n + m) of both. ``creep`` () [s]: speed at which tires give way to the side over the acceleration
+    to the side, of a base that has no speed to the side: as long as they hold, a tire's side slip is as large as its side force (Pacejka,
+    "Tire and Vehicle Dynamics", 2012, section 1.2)."""
 
     radius: Array
     speed: Array
     covariance: Array
+    creep: Array = field(default_factory=lambda: np.zeros(()))
 
     @classmethod
     def unknown(cls, wheels: int, speeds: int) -> WheelErrors:
