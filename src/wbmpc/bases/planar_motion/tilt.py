@@ -16,8 +16,9 @@ from wbmpc.constants import GRAVITY
 from wbmpc.model.robot import RobotModel
 
 #: Doubt at the start of a lean [rad] and of a gyro's bias [rad/s]; walk of the bias [rad/s/√s] and of the lean [rad/√s]: the gyro's noise;
-#: noise of what the accelerometer shows of the vertical [rad/√Hz]: also of motion that is not known.
-LEAN, BIAS, WALK, NOISE, VERTICAL = 0.02, 0.05, 3e-5, 3e-4, 2e-3
+#: noise of what the accelerometer shows of the vertical [rad/√Hz]: also of motion that is not known, and of what commands say of it, for
+#: each radian by which they tilt the vertical: drives lag and wheels slip for as long as a base speeds up or turns, not from sample to sample.
+LEAN, BIAS, WALK, NOISE, VERTICAL, COMMANDED = 0.02, 0.05, 3e-5, 3e-4, 2e-3, 0.5
 #: Time constant [s] of the lean that plans know of: arms that follow a base which rocks on its springs would rock it more.
 SLOW = 1.0
 #: How much [m] a radian of the end effector's direction counts; damping of the least squares [m/rad].
@@ -60,13 +61,13 @@ class TiltFilter:
         last, self._twist = self._twist, (vx, vy, turning)
         if h <= 0.0 or last is None:
             return
-        gain, bias_gain = self._gains(h)
         ahead, aside, _ = self._mount
         change = (turning - last[2]) / h
         own = (
             (vx - last[0]) / h - turning * (vy + turning * ahead) - change * aside,
             (vy - last[1]) / h + turning * (vx - turning * aside) + change * ahead,
         )
+        gain, bias_gain = self._gains(h, VERTICAL**2 + (COMMANDED / GRAVITY) ** 2 * (own[0] ** 2 + own[1] ** 2))
         (x, y), slow = self._up, min(h / SLOW, 1.0)
         rates = turn_z * y - turn_y, turn_x - turn_z * x
         for k, (rate, shown) in enumerate(zip(rates, (accel_x - own[0], accel_y - own[1]), strict=True)):
@@ -75,12 +76,12 @@ class TiltFilter:
             self._up[k], self._bias[k] = up + gain * off, self._bias[k] + bias_gain * off
             self._lean[k] += slow * (self._up[k] - self._lean[k])
 
-    def _gains(self, h: float) -> tuple[float, float]:
-        """Of lean and bias, after their variances have grown for h [s] and shrunk by what comes now."""
+    def _gains(self, h: float, noise: float) -> tuple[float, float]:
+        """Of lean and bias, after their variances have grown for h [s] and shrunk by what comes now, with a ``noise`` [rad²/Hz]."""
         lean, both, bias = self._variances
         lean, both = lean + h * (2.0 * both + h * bias + NOISE**2), both + h * bias
         bias += h * WALK**2
-        whole = lean + VERTICAL**2 / h
+        whole = lean + noise / h
         self._variances = lean - lean * lean / whole, both - lean * both / whole, bias - both * both / whole
         return lean / whole, both / whole
 
