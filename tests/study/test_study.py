@@ -350,7 +350,10 @@ def test_rows_from_somebody_else_are_texts_in_the_page(tmp_path: Path) -> None:
     made.out.mkdir()
     run = next(made.runs())
     row = {**row_about(run), "outcome": hostile, "reason": hostile, "files": hostile, "commit": hostile}
-    row |= {"metrics": {hostile: 1.0}, "about": {hostile: {"unit": hostile, "paper": None, "goal": 1.0, "least": None}}}
+    row |= {
+        "metrics": {hostile: 1.0},
+        "about": {hostile: {"unit": hostile, "paper": None, "goal": 1.0, "least": None, "larger_is_better": False}},
+    }
     (made.out / "journal.jsonl").write_text(json.dumps(row) + "\n")
     assert made.report().finished == 1
     page = (made.out / "index.html").read_text()
