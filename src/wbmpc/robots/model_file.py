@@ -196,7 +196,7 @@ def parse(
             spec = mujoco.MjSpec.from_file(str(file.path))
         else:
             key = ("URDF", file.path, id(file), meshes, collision)
-            _, spec = once(key, lambda: (file, _urdf(file, meshes, collision)))  # with the file its number stays
+            _, spec = once(key, lambda: (file, _urdf(file, meshes, collision)))  # what is kept keeps its id()
             spec = spec.copy() if remembers() else spec
     except InputError:
         raise
