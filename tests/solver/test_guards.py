@@ -24,7 +24,8 @@ from toys import LinearQuadratic
 from wbmpc.errors import InputError, NotFinite, SolverBusy
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.solver import SLQ, SQP, Solver, Status, Trajectory
-from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.interrupts import Interruptible
+from wbmpc.solver.guards import Exclusive
 
 
 def linear(seed: int = 0) -> tuple[LinearQuadratic, Solver]:

@@ -26,7 +26,7 @@ from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.problem import SystemDynamics
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
-from wbmpc.solver.guards import Interruptible
+from wbmpc.interrupts import Interruptible
 from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.warm_start import restart_from, start_from, take_as_result

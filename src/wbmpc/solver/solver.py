@@ -26,7 +26,8 @@ from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
-from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.interrupts import Interruptible
+from wbmpc.solver.guards import Exclusive
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import SETTINGS, StateField
 from wbmpc.solver.results import SolverResults
