@@ -22,9 +22,9 @@ from effort import some
 from small_problems import cartpole
 from toys import LinearQuadratic
 from wbmpc.errors import InputError, NotFinite, SolverBusy
+from wbmpc.interrupts import Interruptible
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.solver import SLQ, SQP, Solver, Status, Trajectory
-from wbmpc.interrupts import Interruptible
 from wbmpc.solver.guards import Exclusive
 
 

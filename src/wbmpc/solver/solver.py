@@ -17,6 +17,7 @@ import numpy as np
 
 from wbmpc.checks import absolute_time, not_negative, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
+from wbmpc.interrupts import Interruptible
 from wbmpc.model.numeric import Reentrant
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.parameters import check_schedule, mode_tables
@@ -26,7 +27,6 @@ from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
-from wbmpc.interrupts import Interruptible
 from wbmpc.solver.guards import Exclusive
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import SETTINGS, StateField
