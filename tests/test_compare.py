@@ -67,7 +67,7 @@ def test_outcomes_lead_the_table(runs: list[dict], capsys: pytest.CaptureFixture
 def test_any_number_of_runs(runs: list[dict], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[type-arg]
     assert main(["run", "fake", "--seed", "3", "--out", "c", "--json"], REGISTRY) == 0
     runs.append(json.loads(capsys.readouterr().out))
-    assert main(["compare", "a", "b", "c", "--json"]) == 0
+    assert main(["compare", "a", "b", "c", "--json", "--out", "three.html"]) == 0
     data = json.loads(capsys.readouterr().out)
     for row in data["metrics"]:
         values = [r["metrics"][row["metric"]]["value"] for r in runs]
@@ -170,7 +170,7 @@ def test_of_a_killed_run_what_there_is(runs: list[dict], killed: Path, capsys: p
     assert data["notes"] == ["killed left no metrics; its recording ends at 2.99 s"]
     assert main(["compare", "a", "killed"]) == 0
     out = capsys.readouterr().out
-    assert "killed left no metrics" in out and "the runs share no signals; compare-2.html is without plots" in out
+    assert "killed left no metrics" in out and "the runs share no signals; compare.html is without plots" in out
 
 
 def test_recordings_are_taken_as_runs(killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -291,7 +291,7 @@ def test_differences_to_the_first_run_are_in_the_table_and_on_the_page(
 ) -> None:
     assert main(["run", "fake", "--seed", "3", "--out", "c<b>", "--json"], REGISTRY) == 0
     third = json.loads(capsys.readouterr().out)
-    assert main(["compare", "a", "b", "c<b>", "--json"]) == 0
+    assert main(["compare", "a", "b", "c<b>", "--json", "--out", "three.html"]) == 0
     data = json.loads(capsys.readouterr().out)
     row = next(row for row in data["metrics"] if row["metric"] == "hand_error_mean_odometry")
     a, b, c = (r["metrics"]["hand_error_mean_odometry"]["value"] for r in (*runs, third))

@@ -11,12 +11,13 @@ from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from interrupting import in_time, interrupted
 from realtime_toys import make_mpc
-from wbmpc.model.robot import load_robot
+from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.runtime.clock import WallClock
 from wbmpc.runtime.process import start_process
 from wbmpc.runtime.shared_memory import Board, Mailbox
@@ -104,3 +105,21 @@ def test_a_second_signal_acts_wherever_it_comes() -> None:
             except KeyboardInterrupt:
                 came += 1
     assert came > 3
+
+
+class _Asked:
+    """What CasADi asks for a matrix while Ctrl-C comes: it drops what that raises."""
+
+    def __SX__(self) -> ca.SX:
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("went on")
+
+
+@pytest.mark.parametrize("ask", [RobotModel.pose, RobotModel.poses])
+def test_ctrl_c_in_the_first_pose_of_a_robot_is_not_lost(
+    ask: Callable[[RobotModel, np.ndarray], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = load_robot("panda")
+    monkeypatch.setattr(robot, "frame_pose", lambda *given: ca.sin(_Asked()))
+    with pytest.raises(KeyboardInterrupt):
+        ask(robot, robot.home)

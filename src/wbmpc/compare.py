@@ -15,7 +15,7 @@ from wbmpc.errors import InputError
 from wbmpc.input_file import parse_json
 from wbmpc.log import TEXTS
 from wbmpc.recording.quantities import Columns, channel_unit
-from wbmpc.recording.reader import read_recording
+from wbmpc.recording.reader import read_recording, recording_file
 from wbmpc.report import RECORDING, named
 from wbmpc.report import table as html_table
 from wbmpc.result import Plot, Series
@@ -74,7 +74,7 @@ def load(path: Path) -> Run:
         raise InputError(f"{path}: there is no such run; give its directory or its recording ({RECORDING})")
     directory = path.parent if path.name == RECORDING else path
     missing = [name for name in ("metrics.json", "log.npz") if not (directory / name).is_file()]
-    if missing and (path.is_file() or (path / RECORDING).is_file()):
+    if missing and recording_file(path).is_file():
         return _recorded(path)
     if missing:
         raise InputError(f"{path}: is not the directory of a run: there is no {missing[0]} and no {RECORDING}")
@@ -117,7 +117,7 @@ def _recorded(path: Path) -> Run:
 
 def _from_recording(run: Run) -> Run:
     """The same with the signals of its recording, if it has one: numbers of a topic are a channel."""
-    if run.path.is_dir() and not (run.path / RECORDING).is_file():
+    if not recording_file(run.path).is_file():
         return run
     recording, log, labels, units = read_recording(run.path), {}, {}, {}
     about = Columns(recording)

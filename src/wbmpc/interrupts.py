@@ -1,4 +1,5 @@
-"""Signals that ask a command to end: they act once, wherever in the program they come, also while it is still being loaded."""
+"""Signals that ask a command to end: they act once, wherever in the program they come, also while it is still being loaded; and what
+ends a program from outside, as Ctrl-C does, ends its calls of CasADi."""
 
 from __future__ import annotations
 
@@ -6,14 +7,19 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
 #: After so long [s] a signal acts that came where its exception would be lost.
 _AGAIN = 0.01
 _ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+#: Signals whose handlers may raise: Python's own for Ctrl-C, the command line's, and those of time limits and of users.
+_SIGNALS = (
+    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, signal.SIGUSR1, signal.SIGUSR2,
+    signal.SIGQUIT,
+)  # fmt: skip
 #: Signals that came where their exception would be lost, and that have not acted yet.
 _WAITING: set[int] = set()
 
@@ -197,3 +203,58 @@ def interrupted(error: BaseException) -> bool:
     while found is not None and not isinstance(found, KeyboardInterrupt):
         found = found.__cause__ or found.__context__
     return found is not None
+
+
+class Interruptible:
+    """What the handler of a signal raises within this context comes out of it, whatever CasADi made of it.
+
+    CasADi's wrapper takes an exception that is raised while it looks at its arguments (they call Python) for arguments of a wrong
+    type: it drops the exception, and raises NotImplementedError or goes on. Handlers run in the main thread only.
+    """
+
+    def __init__(self) -> None:
+        self.raised: BaseException | None = None
+        self._previous: list[tuple[int, Callable[..., Any], Callable[..., Any]]] = []
+
+    def __enter__(self) -> Interruptible:
+        if threading.current_thread() is threading.main_thread():
+            for number in _SIGNALS:
+                handler = signal.getsignal(number)
+                if callable(handler):  # neither the system's default nor ignored
+                    noting = self._noting(handler)
+                    self._previous.append((number, handler, noting))
+                    signal.signal(number, noting)
+        return self
+
+    def _noting(self, handler: Callable[..., Any]) -> Callable[[int, FrameType | None], Any]:
+        def noting(number: int, frame: FrameType | None) -> Any:
+            try:
+                return handler(number, frame)
+            except BaseException as error:
+                self.raised = error
+                if not _comes_or_goes(frame):  # which have to end, and raise it afterwards
+                    raise
+
+        return noting
+
+    def check(self) -> None:
+        """Raise what a handler has raised, if CasADi dropped it and went on."""
+        if self.raised is not None:
+            raise self.raised
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        for number, handler, noting in self._previous:
+            if signal.getsignal(number) is noting:  # else the handler has set another one
+                signal.signal(number, handler)
+        if self.raised is not None and error is not self.raised:
+            raise self.raised from None
+
+
+def _comes_or_goes(frame: FrameType | None) -> bool:
+    """Whether a frame is one that enters or leaves this context, or was called by one: parts of :mod:`signal` are Python."""
+    while frame is not None and frame.f_code not in _COMING_AND_GOING:
+        frame = frame.f_back
+    return frame is not None
+
+
+_COMING_AND_GOING = (Interruptible.__enter__.__code__, Interruptible.__exit__.__code__)

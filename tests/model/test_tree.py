@@ -111,7 +111,7 @@ def test_swerve_robots_equal_mujoco_and_pinocchio(name: str) -> None:
 
 
 def test_rezero_without_its_ball_equals_mujoco_and_pinocchio() -> None:
-    spec = load_spec(load_description("rezero"))
+    spec = load_spec("rezero")
     spec.delete(spec.body("ball"))
     check_tree(spec, "base", 2)
 

@@ -311,7 +311,8 @@ def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="is not a recording"):
             read_recording(tmp_path / f"{name}.mcap")
     with pytest.raises(InputError, match="there is no such recording"):
-        read_recording(str(tmp_path))
+        (tmp_path / "run").mkdir()
+        read_recording(str(tmp_path / "run"))
 
 
 def test_a_second_loop_follows_the_first(tmp_path: Path) -> None:

@@ -22,9 +22,10 @@ from effort import some
 from small_problems import cartpole
 from toys import LinearQuadratic
 from wbmpc.errors import InputError, NotFinite, SolverBusy
+from wbmpc.interrupts import Interruptible
 from wbmpc.mpc.input_rows import InputRows
 from wbmpc.solver import SLQ, SQP, Solver, Status, Trajectory
-from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.solver.guards import Exclusive
 
 
 def linear(seed: int = 0) -> tuple[LinearQuadratic, Solver]:
@@ -301,8 +302,9 @@ def test_what_a_handler_raises_comes_out_though_it_was_dropped(odd_handler: tupl
     assert signal.getsignal(number) is handler
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_a_guess_that_is_not_finite_names_where(bad: float) -> None:
+    """Nor may its square be more than a number: every solve after it failed."""
     problem = cartpole(10)
     solver = Solver(problem.ocp, SQP())
     solver.warm_start(problem.x0, np.ones(1))

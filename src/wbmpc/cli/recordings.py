@@ -46,7 +46,7 @@ def _summary(recording: Recording) -> dict[str, Any]:
         if topic.times
     }
     head = {"file": str(recording.path), "complete": recording.complete, "start": recording.start, "end": recording.end}
-    head["damage"] = recording.damage
+    head |= {"damage": recording.damage, "unknown": recording.unknown}
     return {**head, "metadata": recording.metadata, "topics": topics}
 
 
@@ -64,7 +64,8 @@ def info(file: File, as_json: AsJson = False) -> None:
     # a damaged one has been reported by a warning
     end = "" if recording.complete or recording.damage else "; it ends in the middle: the run was killed"
     times = f"{recording.start:.2f} to {recording.end:.2f} s"
-    typer.echo(printable(f"{recording.title}, {times}, started {run.get('started', 'unknown')}{end}"))
+    started = f", started {run.get('started', 'unknown')}" if run else "; not recorded by wbmpc"
+    typer.echo(printable(f"{recording.title}, {times}{started}{end}"))
     if recording.earlier:
         typer.echo(printable(recording.earlier))
     if result.get("reason"):
@@ -74,6 +75,8 @@ def info(file: File, as_json: AsJson = False) -> None:
         span = t["last"] - t["first"]
         rate = f"{(t['messages'] - 1) / span:7.1f} Hz" if span > 0.0 else ""
         typer.echo(printable(f"  {name:{width}}  {t['type']:30} {t['messages']:7d}  {rate}".rstrip()))
+    if recording.unknown:
+        typer.echo(printable(f"not read, for their types are not known here: {recording.unread}"))
 
 
 @log.command()
@@ -154,7 +157,8 @@ def compare(
         list[Path], typer.Argument(metavar="RUN RUN...", help="Directories of runs, or their recordings.")
     ],
     out: Annotated[
-        Path | None, typer.Option(help="The page with the runs' signals (default: a new compare.html).")
+        Path | None,
+        typer.Option(help="The page with the runs' signals (default: a new compare.html; with --json none)."),
     ] = None,
     force: Force = False,
     as_json: AsJson = False,
@@ -172,7 +176,7 @@ def compare(
     )
     from wbmpc.report import plots_page
 
-    target = new_file("--out", out, Path("compare.html"), force)
+    target = None if as_json and out is None else new_file("--out", out, Path("compare.html"), force)
     runs = load_all(paths)
     figures = [run.figures for run in runs]
     rows, changed = table(figures), differences(figures)
@@ -186,13 +190,14 @@ def compare(
     shown = f"{paths[0]} (solid) and {paths[1]} (dashed)" if len(paths) == 2 else ", ".join(map(str, paths))
     about, title = "; ".join([shown, *notes]), f"{', '.join(names[:-1])} and {names[-1]}"
     plots = overlay(runs, names)
-    before = f"<h2>Figures</h2>{figures_table(rows, names, outcomes(figures))}" if rows else ""
-    before += "" if experiments(figures) else settings_table(changed, names)
-    write_text(target, plots_page(title, about, plots, before), follow=out is not None)
+    if target is not None:
+        before = f"<h2>Figures</h2>{figures_table(rows, names, outcomes(figures))}" if rows else ""
+        before += "" if experiments(figures) else settings_table(changed, names)
+        write_text(target, plots_page(title, about, plots, before), follow=out is not None)
     if as_json:
         output = {"runs": [str(path) for path in paths], "outcomes": outcomes(figures), "metrics": rows}
-        output |= {"settings": changed, "notes": notes}
-        typer.echo(json.dumps({**output, "page": str(target)}))
+        output |= {"settings": changed, "notes": notes, "page": None if target is None else str(target)}
+        typer.echo(json.dumps(output))
         return
     if rows:
         _compare_table(rows, names, outcomes(figures))

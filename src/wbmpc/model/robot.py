@@ -16,6 +16,7 @@ from wbmpc.bases.base import Base
 from wbmpc.bases.optional import HasJacobian, HasUnits
 from wbmpc.checks import real_numbers
 from wbmpc.errors import InputError, unknown_name
+from wbmpc.interrupts import Interruptible
 from wbmpc.model.joints import Limits
 from wbmpc.model.kinematics import FramePose
 from wbmpc.model.layout import Layout
@@ -188,7 +189,8 @@ class RobotModel:
         """Position (3) [m] and quaternion (4) of a frame (the tool when left out) at a numeric state x (nx)."""
         frame = frame or self.tool
         if frame not in self._numeric:
-            self._numeric[frame] = Numeric(self._pose_of(frame))
+            with Interruptible():
+                self._numeric[frame] = Numeric(self._pose_of(frame))
         p, q = self._numeric[frame](real_numbers("state", x))
         return p.ravel(), q.ravel()
 
@@ -204,7 +206,8 @@ class RobotModel:
     def poses(self, states: ArrayLike, frame: str | None = None) -> Array:
         """Poses (n, 7) of a frame (the tool when left out) at states (n, nx): position and quaternion."""
         states = np.atleast_2d(real_numbers("states", states))
-        p, q = self._pose_of(frame)(states.T)
+        with Interruptible():
+            p, q = self._pose_of(frame)(states.T)
         return np.vstack([np.array(p), np.array(q)]).T
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from wbmpc.checks import LATEST, absolute_time, real_number, real_numbers, whole_number
 from wbmpc.clearance.rows import Clearance
 from wbmpc.errors import InputError, NotFinite, RunAborted
+from wbmpc.interrupts import Interruptible
 from wbmpc.logs import RateLimit
 from wbmpc.mpc.checks import PlanCheck, check_events_fit, check_limits, check_settings, check_vector
 from wbmpc.mpc.clearance import ClearanceRows
@@ -26,7 +27,6 @@ from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference
 from wbmpc.ocp.problem import SystemDynamics
 from wbmpc.ocp.symbols import FollowsLastInput
 from wbmpc.solver import SQP, Solver, Status
-from wbmpc.solver.guards import Interruptible
 from wbmpc.solver.simulation_arguments import simulation_arguments
 from wbmpc.solver.solution import COLUMNS
 from wbmpc.solver.warm_start import restart_from, start_from, take_as_result

@@ -70,7 +70,8 @@ class Table:
 class Recording:
     """A whole file at ``path``: ``topics`` by name; ``metadata``: tables of texts by name, of the run, its versions and its result.
     ``complete``: whether the run closed it; else it was killed and the last moments are missing.
-    ``damage``: clauses that name parts that are unreadable or altered.
+    ``damage``: clauses that name parts that are unreadable or altered. ``unknown``: types by name of topics that other programs recorded and
+    whose type is not known here.
 
     ``path``: of the file; ``topics``: by name; ``metadata``: texts by key of each record, "run" and "result" of a run.
     ``attachments``: for each name the time [s] from which it holds, and its bytes.
@@ -82,6 +83,7 @@ class Recording:
     attachments: dict[str, tuple[float, bytes]]
     complete: bool
     damage: list[str] = field(default_factory=list)
+    unknown: dict[str, str] = field(default_factory=dict)
 
     def __getitem__(self, topic: str) -> Topic:
         if topic not in self.topics:
@@ -109,10 +111,15 @@ class Recording:
         return f"the run is longer than its --record-limit: what was {before} {where}"
 
     @property
+    def unread(self) -> str:
+        """:attr:`unknown` in words."""
+        return ", ".join(f"{name} ({kind})" for name, kind in sorted(self.unknown.items()))
+
+    @property
     def title(self) -> str:
-        """Experiment and seed."""
+        """Experiment and seed; of what another program recorded the file's name."""
         run = self.metadata.get("run", {})
-        return f"{run.get('experiment', self.path.stem)}, seed {run.get('seed', '?')}"
+        return f"{run.get('experiment', self.path.stem)}, seed {run.get('seed', '?')}" if run else self.path.stem
 
     @property
     def settings(self) -> Any:
@@ -196,17 +203,17 @@ def _flat_field(prefix: str, kind: str, name: str, value: Any) -> Iterator[tuple
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read the recording ``path`` (a file, or a run's folder): all that is whole of one that is cut or damaged, without topics of
-    :data:`KINDS` that have another type.
+    """Read the recording ``path`` (a file, or a folder of a run or of ``ros2 bag record``): all that is whole of one that is cut or damaged,
+    without topics of :data:`KINDS` that have another type.
 
     Damage is noted in the recording and logged as a warning. Raises :class:`InputError` when there is no such file, it is not
     MCAP, or nothing of it can be read.
     """
-    path = Path(path)
-    if path.is_dir():
-        path = path / "run.mcap"
+    path = recording_file(Path(path))
     if not path.is_file():
         raise InputError(f"{path}: there is no such recording")
+    if path.suffix == ".db3":
+        raise InputError(f"{path}: is a bag in SQLite; 'ros2 bag convert' makes a recording of it (storage_id: mcap)")
     data, damage = read_file(path, LARGEST, MAGIC), []  # type: bytes, list[str]
     if not data.startswith(MAGIC):
         raise InputError(
@@ -216,7 +223,7 @@ def read_recording(path: str | Path) -> Recording:
         out = _Assembly(Recording(path, {}, {}, {}, False, damage)).of(records(data, damage))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    if not (out.topics or out.metadata):
+    if not (out.topics or out.metadata or out.unknown):
         raise InputError(
             f"{path}: nothing can be read of this recording: {damage[0] if damage else 'it holds nothing yet'}"
         )
@@ -224,6 +231,18 @@ def read_recording(path: str | Path) -> Recording:
         more = f"; and {len(damage) - 1} more like it" if len(damage) > 1 else ""
         _LOG.warning("%s is damaged, and read without what is not whole: %s%s", path, damage[0], more)
     return out
+
+
+def recording_file(path: Path) -> Path:
+    """The recording in a directory: a run's, or the only one, as ``ros2 bag record`` leaves it. Raises :class:`InputError` if there are
+    others, or none."""
+    own = path / "run.mcap"
+    if not path.is_dir():
+        return path
+    found = sorted(f for ending in ("mcap", "db3") for f in path.glob(f"*.{ending}"))
+    if len(found) > 1 and not own.is_file():
+        raise InputError(f"{path}: holds {len(found)} recordings; give one of them: {', '.join(f.name for f in found)}")
+    return found[0] if found and not own.is_file() else own
 
 
 class _Assembly:
@@ -261,6 +280,8 @@ class _Assembly:
             if known and kind != needed:
                 known = False
                 self._out.damage.append(f"{record.topic} is left out: its type is {kind}, {needed} is needed")
+            elif not known:
+                self._out.unknown[record.topic] = kind or record.message_encoding
             self._channels[record.id] = self._topic(record.topic, kind) if known else None
         elif isinstance(record, Record):
             if record.channel_id in self._channels:

@@ -308,11 +308,14 @@ def _check_names(description: RobotDescription, spec: mujoco.MjSpec) -> None:
             raise unknown_name(f"body (key 'base.{key}')", body, bodies, where=description.source)
 
 
-def load_spec(description: RobotDescription, *, meshes: bool = False) -> mujoco.MjSpec:
-    """The file of a described robot (``description``) as an editable MuJoCo specification of its mechanics, without its locked joints.
+def load_spec(description: RobotDescription | str | Path, *, meshes: bool = False) -> mujoco.MjSpec:
+    """The file of a robot (its ``description``, or what :func:`load_description` takes) as an editable MuJoCo specification of its mechanics,
+    without its locked joints.
 
     ``meshes``: with the meshes of a URDF that exist, for display.
     """
+    if not isinstance(description, RobotDescription):
+        description = load_description(description)
     if meshes or not remembers():
         return _mechanics(description, meshes)
     own = description.model_dump(include={"model", "packages", "xacro_arguments", "fixed_joints", "couple", "source"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import wraps
@@ -12,15 +13,22 @@ from wbmpc.errors import RunAborted
 
 P = ParamSpec("P")
 R = TypeVar("R")
+#: How often [s] who closes looks whether others still use it.
+POLL = 2e-3
 
 
 class InUse:
-    """Of a node with a ``name``. Thread-safe."""
+    """Of a node with a ``name``. Thread-safe without locks: Ctrl-C may come between taking one and leaving it again, and the node that is
+    closed for it would wait forever. Single steps on lists and dicts are whole."""
 
     def __init__(self, name: str) -> None:
-        self.closed, self._name = False, name
-        self._threads: list[int] = []  # that use it, as often as they have begun to
-        self._changed = threading.Condition(threading.Lock())
+        self._name, self._open = name, [True]  # who takes it out closes
+        self._threads: dict[object, int] = {}  # that use it, each time that they have begun to
+
+    @property
+    def closed(self) -> bool:
+        """Whether nobody may begin to use it any more."""
+        return not self._open
 
     def check(self) -> None:
         """Raise :class:`RunAborted` if it is closed: who waits for something waits in vain."""
@@ -30,15 +38,13 @@ class InUse:
     @contextmanager
     def hold(self) -> Iterator[None]:
         """It is not closed meanwhile. Raises :class:`RunAborted` if it is."""
-        with self._changed:
-            self.check()
-            self._threads.append(threading.get_ident())
+        use = object()
         try:
+            self._threads[use] = threading.get_ident()
+            self.check()  # after that: who closes looks for threads afterwards
             yield
         finally:
-            with self._changed:
-                self._threads.remove(threading.get_ident())
-                self._changed.notify_all()
+            self._threads.pop(use, None)
 
     def begin(self) -> ExitStack | None:
         """As :meth:`hold`, which has begun and ends with what is returned; None if it is closed."""
@@ -52,15 +58,16 @@ class InUse:
     def close(self) -> bool:
         """Whether this call closes it: once, and when no other thread uses it any more."""
         own = threading.get_ident()
-        with self._changed:
-            if self.closed:
-                return False
-            self.closed = True
-            try:
-                self._changed.wait_for(lambda: all(thread == own for thread in self._threads))
-            except BaseException:  # Ctrl-C: the next call closes it
-                self.closed = False
-                raise
+        try:
+            self._open.pop()
+        except IndexError:
+            return False
+        try:
+            while any(thread != own for thread in self._threads.copy().values()):
+                time.sleep(POLL)
+        except BaseException:  # Ctrl-C: the next call closes it
+            self._open.append(True)
+            raise
         return True
 
 

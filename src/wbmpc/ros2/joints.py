@@ -173,10 +173,10 @@ class JointReader:
 class Waited:
     """How long messages of one publisher have waited in a process, or on a bus, that was held up: those that come at once after a silence
     are as far apart as their stamps say, as far as the silence has room for that. Else a stamp is no time: clocks are set. Once messages
-    have come in time for as long as a silence, none waits any more."""
+    have come in time for as long as a ``silence`` [s], none waits any more."""
 
-    def __init__(self) -> None:
-        self._room = self._in_time = 0.0
+    def __init__(self, silence: float = SILENCE) -> None:
+        self._silence, self._room, self._in_time = silence, 0.0, 0.0
 
     @property
     def others(self) -> bool:
@@ -186,11 +186,11 @@ class Waited:
     def interval(self, arrivals: float, stamps: float) -> float:
         """Time [s] between two messages whose arrivals and stamps are so far apart [s]: by their arrivals, where the second one has waited
         by their stamps."""
-        waited = 0.0 <= arrivals < AT_ONCE * stamps and 0.0 < self._room >= stamps - arrivals - SILENCE
+        waited = 0.0 <= arrivals < AT_ONCE * stamps and 0.0 < self._room >= stamps - arrivals - self._silence
         self._in_time += max(arrivals, 0.0)
-        if waited or arrivals > SILENCE:
+        if waited or arrivals > self._silence:
             self._room, self._in_time = min(max(self._room + arrivals - max(stamps, 0.0), 0.0), _LONGEST), 0.0
-        elif self._in_time > SILENCE:  # a single one that took its time does not end what comes at once
+        elif self._in_time > self._silence:  # a single one that took its time does not end what comes at once
             self._room = 0.0
         return stamps if waited else arrivals
 

@@ -29,6 +29,7 @@ from wbmpc.ros2.joints import (
     Repetition,
     Series,
     Standstill,
+    Waited,
     check_turn,
     read_imu,
 )
@@ -75,6 +76,7 @@ class BusRobot:
         self._repetition = Repetition()
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._behind = np.inf  # least time [s] from a stamp to its arrival
+        self._lag, self._of_now = Waited(OVERTAKEN), -np.inf  # from which arrival on [s] messages are of when they come
         self.lateness = self._reader.lateness
         self.sent = 0  # commands since the last start
         self._armed = False
@@ -127,6 +129,9 @@ class BusRobot:
         if previous is None or sample.stamp != previous[0].stamp or sample.stamp == 0.0:
             grown = 0.0 if previous is None else _CLOCK_DRIFT * max(arrival - previous[1], 0.0)
             self._behind = min(arrival - sample.stamp, self._behind + grown)
+            if previous is not None:
+                self._lag.interval(arrival - previous[1], sample.stamp - previous[0].stamp)
+                self._of_now = np.inf if self._lag.others else min(self._of_now, arrival)
             self._joints = sample, arrival
             self._waiting.append(self._joints)
 
@@ -261,6 +266,11 @@ class BusRobot:
         if isinstance(self.clock, BusClock):
             return self.clock.stamp() - self._joints[0].stamp
         return time.perf_counter() - self._joints[1]
+
+    def of_now(self, t: float) -> bool:
+        """Whether what is known of a time t [s] of the runner's clock is: where that is when messages came, those that waited are older."""
+        by_stamps = isinstance(self.clock, BusClock) or self.adapter.must_keep_running
+        return by_stamps or t + self.clock.origin >= self._of_now
 
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from wbmpc.checks import absolute_time, not_negative, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
+from wbmpc.interrupts import Interruptible
 from wbmpc.model.numeric import Reentrant
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
 from wbmpc.ocp.parameters import check_schedule, mode_tables
@@ -26,7 +27,7 @@ from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
-from wbmpc.solver.guards import Exclusive, Interruptible
+from wbmpc.solver.guards import Exclusive
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
 from wbmpc.solver.memory_layout import SETTINGS, StateField
 from wbmpc.solver.results import SolverResults
@@ -182,7 +183,7 @@ class Solver(SolverResults):
 
         Where the solver refines the grid (:class:`SLQ`), trajectories on the problem's own grid are taken too: states are
         linear between its nodes, inputs hold over its intervals. Raises :class:`InputError` for other shapes, and
-        :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
+        :class:`NotFinite` for numbers that are not finite, or whose squares are not; the trajectories then stay as they were.
         """
         with self.exclusive.between("Solver.warm_start"):
             start_from(self, x, u)

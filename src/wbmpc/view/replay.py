@@ -78,8 +78,12 @@ class Film:
             scenes = [(t, Scene.of_plain(plain)) for t, plain in recording.scenes]
         except (KeyError, TypeError, AttributeError) as error:
             raise InputError(f"{recording.path}: its scene was not written by wbmpc ({error})") from error
-        if not recording.topics.get("/tf") or not scenes:
-            raise InputError(f"{recording.path}: holds no frames (/tf) or no scene to draw")
+        missing = [] if scenes else ["no scene (shapes of the robot, which recordings of wbmpc have)"]
+        missing += [] if recording.topics.get("/tf") else ["no frames (/tf)"]
+        if missing:
+            raise InputError(
+                f"{recording.path}: cannot be drawn: it has {' and '.join(missing)}; 'wbmpc log plot' and 'wbmpc log export' show its topics"
+            )
         self._scenes = scenes
         self._stages = Stages(tuple(t for t, _ in scenes), tuple(scene for _, scene in scenes))
         self.scene = self._stages.united
