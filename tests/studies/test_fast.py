@@ -97,7 +97,6 @@ def test_a_short_slalom_touches_nothing_and_lifts_no_wheel() -> None:
         "course.length=4.0",
         "after=4",
         "plant.calibration=none",
-        "settle_time=0.2",
     ]
     found = experiment.run(configure(experiment.config_type, course, "swerve-fast"), 1)
     values = {name: metric.value for name, metric in found.metrics.items()}
@@ -167,7 +166,7 @@ def test_the_experiment_has_both_models() -> None:
 def test_an_arm_that_is_a_counterweight_keeps_off_the_floor() -> None:
     """Plans that trust little friction swing the load down to the floor, which ended the run. Truth: MuJoCo's contacts."""
     experiment = load("swerve-fast")
-    changes = [*SLIPPERY, "plant.friction=0.4", "plant.calibration=none", "after=3", "settle_time=0.2"]
+    changes = [*SLIPPERY, "plant.friction=0.4", "plant.calibration=none", "after=3"]
     result = experiment.run(configure(experiment.config_type, changes, "swerve-fast"), 1)
     assert result.outcome == "completed" and result.metrics["contacts_unwanted"].value == 0.0
     assert result.metrics["path_error_max"].value < 0.03 and result.metrics["wheel_slip_max"].value < 0.1
