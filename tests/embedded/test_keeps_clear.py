@@ -19,6 +19,7 @@ from exported import Controller
 from wbmpc.default_problem import default_mpc_settings, default_problem, make_mpc
 from wbmpc.embedded import check as checks
 from wbmpc.embedded.exporter import ALLOWED
+from wbmpc.embedded.image import Export
 from wbmpc.errors import InputError
 from wbmpc.mpc.clearance import ClearanceRows
 from wbmpc.solver.controller import Result
@@ -41,8 +42,16 @@ def reaching(folder: Path, keeps: bool = True) -> wb.MPC:
     return mpc
 
 
-def exported(mpc: wb.MPC, folder: Path) -> Controller:
-    made = Controller(wb.export(mpc, folder, prefix="arm"), Path(mkdtemp(dir=folder)))  # a library is loaded once
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Export:
+    """The arm that keeps clear."""
+    folder = tmp_path_factory.mktemp("arm")
+    return wb.export(reaching(folder), folder, prefix="arm")
+
+
+def created(done: Export, folder: Path) -> Controller:
+    """A controller in a library of its own: one is loaded once."""
+    made = Controller(done, Path(mkdtemp(dir=folder)))
     assert made.create() == Result.OK
     return made
 
@@ -54,12 +63,14 @@ def figures(made: Controller) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pushes", [0, 1, 6])
-def test_it_does_what_python_does_to_the_last_bit(tmp_path: Path, pushes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_does_what_python_does_to_the_last_bit(
+    done: Export, tmp_path: Path, pushes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With pushes that bring the fore arm into the foot: plans that stop, searches of others, parts that are inside of each other."""
     mpc, searched = reaching(tmp_path), []
     search = ClearanceRows.search
     monkeypatch.setattr(ClearanceRows, "search", lambda *a: searched.append(search(*a)) or searched[-1])
-    made, x, u = exported(mpc, tmp_path), wb.load_robot(tmp_path / "arm.yaml").home.copy(), np.empty(3)
+    made, x, u = created(done, tmp_path), wb.load_robot(tmp_path / "arm.yaml").home.copy(), np.empty(3)
     active, inside, rng = 0, 0, np.random.default_rng(pushes)
     for k in range(75):
         t, failures = k / RATE, mpc.statistics.failures
@@ -85,11 +96,12 @@ def test_it_does_what_python_does_to_the_last_bit(tmp_path: Path, pushes: int, m
     assert set(searched) == ({True, False} if pushes == 6 else set())
 
 
-def test_without_rows_the_same_controller_runs_into_itself(tmp_path: Path) -> None:
+def test_without_rows_the_same_controller_runs_into_itself(done: Export, tmp_path: Path) -> None:
     least = {}
     for keeps in (False, True):
         mpc = reaching(tmp_path, keeps)
-        made, x, u = exported(mpc, tmp_path), wb.load_robot(tmp_path / "arm.yaml").home.copy(), np.empty(3)
+        made = created(done if keeps else wb.export(mpc, tmp_path, prefix="arm"), tmp_path)
+        x, u = wb.load_robot(tmp_path / "arm.yaml").home.copy(), np.empty(3)
         foot = (mujoco.mjtGeom.mjGEOM_CYLINDER, [0.08, 0.05])  # once more
         truth = TrueDistance(wb.load_robot(tmp_path / "arm.yaml"), [foot])
         truth.own = [g for g in truth.own if truth.model.body(truth.model.geom_bodyid[g]).name == "fore"]

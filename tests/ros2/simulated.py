@@ -18,13 +18,18 @@ from wbmpc.ros2.settings import settings_of
 from wbmpc.ros2.sim import SimNode
 from wbmpc.types import Truth
 
+#: Rate of the controller of a robot that does not balance [1/s] where a test does not ask for another one, a quarter of the default: less to do.
+RATE = 100.0
+
 
 class Simulated:
     """``change``: what becomes of a JointState before it is sent (None: lost); ``said``: diagnostics that came."""
 
     def __init__(self, robot: RobotModel, network: Network, seed: int = 3, **settings: Any) -> None:
         safety = {"clock": 60.0, **settings.pop("safety", {})}  # a busy machine gives the time no time
-        given = {"use_sim_time": True, "lockstep": True, **settings, "safety": safety}
+        rates = {} if robot.base.balances else {"control": RATE}
+        rates |= settings.pop("rates", {})
+        given = {"use_sim_time": True, "lockstep": True, **settings, "rates": rates, "safety": safety}
         self.settings = settings_of(robot).model_validate(given)
         self.node = open_node("wbmpc", "dds", network)
         try:

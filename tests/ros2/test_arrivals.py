@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from effort import some
 from wbmpc.bases import base_type
 from wbmpc.model.robot import load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
@@ -30,8 +31,10 @@ def turning(robot: Any) -> dict[str, np.ndarray]:
     return {**groups, "rates": np.linalg.pinv(robot.base.twist)[:, 2]}
 
 
-@pytest.mark.parametrize("arrivals", [SLOW, BURSTS], ids=["slow", "bursts"])
-@pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10"])
+@pytest.mark.parametrize(
+    ("name", "arrivals"),
+    some([(n, a) for n in ("swerve-ur10", "differential-ur10") for a in (SLOW, BURSTS)], [1, 2]),
+)
 def test_the_gyro_counts_over_the_time_between_stamps(name: str, arrivals: np.ndarray) -> None:
     robot = load_robot(name)
     adapter = base_type(robot.description.base.type).ros(robot, settings_of(robot)(), PERIOD)

@@ -194,7 +194,7 @@ def test_a_way_that_is_heard_more_often_than_joint_states_is_not_lost(robot: Rob
 
     from wbmpc.ros2.network import Network
 
-    s, count = Simulated(robot, Network.of(private())), itertools.count()
+    s, count = Simulated(robot, Network.of(private()), rates={"control": 400.0}), itertools.count()
     try:
         s.ready()
         start = s.sim._driver._pose.copy()

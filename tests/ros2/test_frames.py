@@ -125,7 +125,7 @@ def test_stamps_of_a_moving_frame_do_not_leave_the_bus_time_when_a_run_begins(na
         s.control.start, s.control.robot_io.read = begin, lambda: begun.wait(60.0) and read()  # type: ignore[method-assign]
         s.other.subscribe("/tf", "tf2_msgs/msg/TFMessage", take)
         s.ready()
-        s.run(1.0)
+        s.run(0.3)
         before = len(got)
         s.end_effector(dx=0.05)
         assert s.until(lambda: s.control.running), s.control.state

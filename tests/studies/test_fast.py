@@ -17,6 +17,9 @@ from wbmpc.tasks.settings import TaskMpcSettings
 from wbmpc.tasks.tip_over import reaching
 from wbmpc.types import Truth
 
+#: Of two tests with one problem: it is compiled once.
+SLIPPERY = ["course=s-curve", "stability.friction=0.2"]
+
 
 def test_the_time_to_the_goal_ends_where_the_end_effector_stays() -> None:
     times = 0.1 * np.arange(20)
@@ -113,9 +116,9 @@ def test_the_s_curve_is_driven_with_faster_wheels() -> None:
 def test_a_base_at_rest_sees_the_whole_of_a_sharp_curve_at_once() -> None:
     """A guess with wheels that are too fast made plans of a few centimeters for many solves. Truth: rigid-body speeds of the wheels; a base
     whose wheels turn at most at their limit goes more than half of the way of two seconds."""
-    course = SCurve(length=2.4)
+    settings = configure(SwerveFastSettings, [*SLIPPERY, "course.length=2.4"], "swerve-fast")
+    course = settings.course
     robot = reaching(course.equipped(wb.load_robot("swerve-ur10")), np.pi / 2, "H", 0.0)
-    settings = SwerveFastSettings(course=course)
     robot, mpc = settings.weighted.prepare(False, robot, "base")
     mpc.reset(robot.home)
     mpc.update(wb.Observation(0.0, robot.home))
@@ -163,7 +166,7 @@ def test_the_experiment_has_both_models() -> None:
 def test_an_arm_that_is_a_counterweight_keeps_off_the_floor() -> None:
     """Plans that trust little friction swing the load down to the floor, which ended the run. Truth: MuJoCo's contacts."""
     experiment = load("swerve-fast")
-    changes = ["course=s-curve", "plant.friction=0.4", "stability.friction=0.2", "plant.calibration=none", "after=3"]
+    changes = [*SLIPPERY, "plant.friction=0.4", "plant.calibration=none", "after=3"]
     result = experiment.run(configure(experiment.config_type, changes, "swerve-fast"), 1)
     assert result.outcome == "completed" and result.metrics["contacts_unwanted"].value == 0.0
     assert result.metrics["path_error_max"].value < 0.03 and result.metrics["wheel_slip_max"].value < 0.1
