@@ -122,7 +122,7 @@ def test_sensitivity_through_a_jump_is_the_derivative() -> None:
     """Gaps by differences of the node before the event: b(x + δ) − b(x) = [A B] δ."""
     solver = ball()
     rng = np.random.default_rng(0)
-    solver._run(np.array([1.0, 0.0]))
+    solver.iterate(np.array([1.0, 0.0]))
     k = int(np.argmin(np.abs(solver.ws.grid - 0.437))) - 1
     solver.warm_start(rng.normal(size=(11, 2)), rng.normal(size=(10, 1)))
     s = solver.kernel.sizes
@@ -160,7 +160,7 @@ def test_shift_across_a_moving_grid_keeps_a_linear_plan() -> None:
     solver.set_schedule(ModeSchedule((Mode("default"),) * 2, (0.53,)))
     t = 0.0
     for k in range(30):
-        solver._run(np.array([0.7 * t]), t, 0.0 if k == 0 else 0.01)
+        solver.iterate(np.array([0.7 * t]), t, 0.0 if k == 0 else 0.01)
         if k:
             np.testing.assert_allclose(solver.ws.x[:, 0], 0.7 * (t + solver.ws.grid), atol=1e-9)
             assert np.abs(solver.ws.grid + t - 0.53).min() < 1e-12

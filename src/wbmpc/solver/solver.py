@@ -236,8 +236,10 @@ class Solver(SolverResults):
         return tables
 
     # ------------------------------------------------------------------ solve
-    def _run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
-        """Shift by ``delta`` [s], sample at ``t0`` [s], iterate in place from ``x0`` (nx): (status code, iterations). Compiles nothing."""
+    def iterate(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
+        """What a control loop calls: shift the last solution by ``delta`` [s], sample references and modes from ``t0`` [s] on, iterate in the
+        solver's memory from ``x0`` (nx), contiguous and finite, which is not checked. Returns a code for :meth:`status` and how many
+        iterations it took, for :meth:`solution`. Neither retries, certifies nor compiles, as :meth:`solve` does."""
         with self.exclusive:
             self._check_terms()
             self.t0 = t0
@@ -350,8 +352,8 @@ class Solver(SolverResults):
             raise InputError(f"initial state: '{self.ocp.dynamics.state.names[int(bad[0])]}' is not finite")
         return x0
 
-    def _certified(self, status: int, count: int, elapsed: float) -> Solution:
-        """The solution of the last :meth:`_run`, which took ``elapsed`` [s], with violations by name and the cause of a failure."""
+    def certified_solution(self, status: int, count: int, elapsed: float) -> Solution:
+        """The solution of the last :meth:`iterate`, which took ``elapsed`` [s], with violations by name and the cause of a failure."""
         with self.exclusive, Interruptible():
             return diagnose(self, self.solution(status, count, elapsed))
 
@@ -369,11 +371,11 @@ class Solver(SolverResults):
 
     @staticmethod
     def status(code: int) -> Status:
-        """What a status code of :meth:`_run` means."""
+        """What a status code of :meth:`iterate` means."""
         return _STATUS[code]
 
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
-        """The solution of the last :meth:`_run`, which took ``elapsed`` [s]."""
+        """The solution of the last :meth:`iterate`, which took ``elapsed`` [s]."""
         row = self.log[count - 1]
         return Solution(
             status=self.status(status),
