@@ -137,7 +137,7 @@ def test_same_iterates_as_the_twin(mode: str, algorithm: type[SQP]) -> None:
         a.log[:9, [0, 1, 2, 3, 4, 7, 8, 9]], b.log[:9, [0, 1, 2, 3, 4, 7, 8, 9]], rtol=1e-4, atol=1e-6
     )
     count = len(a.problem.path.rows)
-    twin = np.array([r.l for r in b.twin.own[1:-1]])
+    twin = np.array([r.l for r in b._backend.twin.own[1:-1]])
     np.testing.assert_allclose(a.ws.rows_l[1:-1, :count], twin, rtol=1e-3, atol=1e-6)
 
 

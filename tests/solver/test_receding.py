@@ -28,10 +28,10 @@ def shifted(solver: Solver, delta: float) -> None:
 def moved(solver: Solver, t: float, delta: float) -> None:
     """By ``delta`` to ``t`` [s]."""
     if solver.settings.backend == "interpreted":
-        solver.twin._shift(solver._current_tables(), t, delta)
-        solver.twin._shift_multipliers(delta)
+        solver._backend.twin._shift(solver.data.tables(), t, delta)
+        solver._backend.twin._shift_multipliers(delta)
     else:
-        tables = solver._current_tables()
+        tables = solver.data.tables()
         align(solver.ws.memory, solver.ws.table, *tables, t)
         shift_multipliers(solver.ws.memory, solver.ws.table, delta)
         shift(solver.ws.memory, solver.ws.table, *tables, t, delta)
@@ -265,7 +265,7 @@ def swing(backend: str) -> Solver:
 def multipliers(solver: Solver) -> np.ndarray:
     """Of the path's rows (N, rows), as a view of the compiled solver's memory or a copy of the twin's."""
     if solver.settings.backend == "interpreted":
-        return np.array([r.l for r in solver.twin.own[:-1]])
+        return np.array([r.l for r in solver._backend.twin.own[:-1]])
     m, o = solver.ws.memory, solver.ws.table
     n, rows = int(o[N]), int(o[ROWS])
     return np.asarray(m[o[ROW_L] : o[ROW_L] + n * rows].reshape(n, rows)[:, : len(solver.problem.path.rows)])

@@ -50,7 +50,7 @@ def grid_for(base: np.ndarray, events: list[float], t0: float) -> np.ndarray:
     ocp.add(Cost("u", Rows(1, lambda s: s.u)))
     solver = GRIDS.setdefault(len(base), Solver(ocp, SQP(iterations=1)))
     solver.set_schedule(ModeSchedule((Mode("default"),) * (len(events) + 1), tuple(events)))
-    align(solver.ws.memory, solver.ws.table, *solver._current_tables(), t0)
+    align(solver.ws.memory, solver.ws.table, *solver.data.tables(), t0)
     return solver.ws.grid.copy()
 
 
@@ -199,10 +199,10 @@ def test_events_of_a_state_that_jumps_need_intervals_of_their_own() -> None:
         solver.solve(np.array([1.0, 0.0]))
     # truth: by hand, intervals of 0.1 s; an event on a node ends the interval before it
     lost = {0.0: 1, 0.015: 0, 0.02: 1, 0.315: 0, -0.69: 0, -0.61: 1}
-    solver.schedule = ModeSchedule((DOWN, UP, DOWN), (0.31, 0.32))
+    solver.data.schedule = ModeSchedule((DOWN, UP, DOWN), (0.31, 0.32))
     for t0, count in lost.items():
         assert solver.events_without_node(t0) == count, t0
-    solver.schedule = ModeSchedule((DOWN, UP, DOWN), (0.3, 0.35))
+    solver.data.schedule = ModeSchedule((DOWN, UP, DOWN), (0.3, 0.35))
     assert solver.events_without_node(0.0) == 0
     mpc = MPC(solver.ocp, rate=10.0)
     mpc.set_schedule(ModeSchedule((DOWN, UP, DOWN), (0.3, 0.4)))

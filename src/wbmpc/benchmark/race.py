@@ -161,7 +161,7 @@ def _without_limits(problem: Problem, settings: SQP) -> Solver:
     for term in solver_of_problem.ocp.inequalities:
         del solver_of_problem.ocp.terms[term.name]
     solver = Solver(solver_of_problem.ocp, settings)
-    solver.references, solver.schedule = solver_of_problem.references, solver_of_problem.schedule
+    solver.data.references, solver.data.schedule = solver_of_problem.data.references, solver_of_problem.schedule
     start = solver_of_problem.trajectory(copy=False)
     solver.warm_start(start.x, start.u)
     return solver
