@@ -1,4 +1,4 @@
-"""What a horizon is told from outside: references and modes over absolute time, and the tables that compiled code reads."""
+"""References and modes over absolute time of a horizon, and the tables that compiled code reads."""
 
 from __future__ import annotations
 
