@@ -167,7 +167,7 @@ class Solves:
         self.counts: list[int] = []
         self.steps: list[float] = []
         solver = rig.mpc.solver
-        solve = solver._run
+        solve = solver.iterate
 
         def noted(x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
             status, count = solve(x0, t0, delta)
@@ -175,7 +175,7 @@ class Solves:
             self.steps.append(float(solver.log[count - 1, COLUMNS["alpha"]]))
             return status, count
 
-        solver._run = noted  # type: ignore[method-assign]
+        solver.iterate = noted  # type: ignore[method-assign]
 
 
 def longest(outside: np.ndarray, period: float) -> float:

@@ -43,7 +43,7 @@ def iteration(ocp: OptimalControlProblem) -> float:
     times = []
     for _ in range(SOLVES):
         before = time.process_time()
-        solver._run(start)
+        solver.iterate(start)
         times.append(time.process_time() - before)
     return min(times)
 

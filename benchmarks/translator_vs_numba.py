@@ -110,7 +110,7 @@ def save_memory(path: Path) -> None:
     from wbmpc.studies.race.robots import swerve_bench
 
     problem = swerve_bench(100, SQP.real_time(3))
-    problem.solver._run(problem.x0)
+    problem.solver.iterate(problem.x0)
     np.savez(path, memory=problem.solver.ws.memory, table=problem.solver.ws.table)
 
 

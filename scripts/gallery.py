@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from figures import publish, table
-from PIL import Image
+from PIL import Image, ImageOps
 from playwright.sync_api import Page, sync_playwright
 
-from wbmpc import studies, tasks
+from wbmpc import tasks
 from wbmpc.recording.reader import read_recording
-from wbmpc.registry import load
+from wbmpc.registry import load, locations
 from wbmpc.report import RECORDING
 from wbmpc.view.render import RATES, render
 from wbmpc.view.replay import Film
@@ -56,13 +56,17 @@ def browser() -> Iterator[Page]:
 
 
 def figure(page: Page, run: Path, name: str) -> str:
-    """Draw a plot of the run's report; its title, empty without one."""
+    """Draw a plot of the run's report, or its first drawing; its title, empty without one."""
     page.goto((run / "report.html").resolve().as_uri())
-    if page.locator(".js-plotly-plot").count() == 0:
+    if page.locator(".js-plotly-plot").count():
+        title, found = page.evaluate(DRAW, [TITLES.get(name, ""), *FIGURE, FINER])
+        png = base64.b64decode(found.partition(",")[2])
+    elif (card := page.locator(".card:has(svg)").first).count():
+        title, png = card.locator("h3").inner_text(), card.locator("svg").screenshot()
+    else:
         return ""
-    title, found = page.evaluate(DRAW, [TITLES.get(name, ""), *FIGURE, FINER])
-    picture = Image.open(io.BytesIO(base64.b64decode(found.partition(",")[2]))).convert("RGB")
-    picture = picture.resize(FIGURE, Image.Resampling.LANCZOS)
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
+    picture = ImageOps.pad(picture, FIGURE, Image.Resampling.LANCZOS, color="white")
     picture.quantize(COLORS, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
     return str(title)
 
@@ -99,13 +103,13 @@ def group(name: str) -> str:
     """The heading of the page that an experiment stands under, as the marks name it."""
     if name in tasks.EXPERIMENTS:
         return "any robot"
-    return "swerve experiments" if "pankert" in studies.EXPERIMENTS[name] else "ball robot experiments"
+    return "swerve experiments" if "pankert" in locations()[name] else "ball robot experiments"
 
 
 def main() -> None:
     """Draw what is asked for and publish it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    known = [*tasks.EXPERIMENTS, *studies.EXPERIMENTS]
+    known = list(locations())
     parser.add_argument("names", nargs="*", metavar="NAME", help="experiments (default: all that have a run)")
     parser.add_argument("--runs", type=Path, default=ROOT / "reproduced", help="directory of 'wbmpc reproduce'")
     given = parser.parse_args()

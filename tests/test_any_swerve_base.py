@@ -22,7 +22,7 @@ from wbmpc.bases.swerve.perturbation import SwervePerturbation
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.errors import InputError
 from wbmpc.model.robot import load_robot
-from wbmpc.stability import assess, leg_angles
+from wbmpc.stability import assess, configuration_positions
 from wbmpc.studies.pankert2022 import brakes as swerve_brakes
 from wbmpc.studies.pankert2022 import unified as swerve_unified
 from wbmpc.studies.pankert2022.directions import beyond_range, reject_directions
@@ -100,7 +100,7 @@ def test_what_a_base_with_few_modules_cannot_do_is_said(tmp_path: Path) -> None:
         swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(tmp_path / "ring.yaml")), 0)
     five = write_base(tmp_path, 5, True)
     with pytest.raises(InputError, match=r"unknown configuration .X.; valid: 5 angles in rad"):
-        leg_angles(load_robot(five), "X")
+        configuration_positions(load_robot(five), "X")
     with pytest.raises(InputError, match=r"unknown configuration.*legs\.goal: angles, as \[0.2, 0.2, 0.2, 0.2, 0.2\]"):
         swerve_unified.EXPERIMENT.run(SwerveUnifiedSettings(robot=str(five)), 0)
     with pytest.raises(InputError, match=r"unknown configuration"):
@@ -163,7 +163,7 @@ def test_configurations_are_where_legs_point(start: float, tmp_path: Path) -> No
         g = robot.base.geometry
         for name, headings in (("H", (0, 180, 180, 0)), ("X", (45, 135, -135, -45))):
             try:
-                legs = leg_angles(robot, name)
+                legs = configuration_positions(robot, name)
             except InputError as error:  # 1.2 rad are what a hinge has
                 assert start > 0.8 and name == "H" and "outside its limits -1.2 to 1.2" in str(error)
                 continue

@@ -14,7 +14,7 @@ import pytest
 import wbmpc as wb
 from wbmpc.errors import InputError
 from wbmpc.robots import load_description
-from wbmpc.stability.configurations import leg_angles
+from wbmpc.stability.configurations import configuration_positions
 
 TWO: list[Any] = [
     np.array([1.0 + 1j, 0.0]), [1j, 0.0], np.ma.masked_array([1.0, 0.0], mask=[True, False]), np.array([1.0, 2.0], object),
@@ -138,7 +138,7 @@ def test_times_of_references_are_of_this_world() -> None:
 @pytest.mark.parametrize("text", ["\u0661,\u0661,\u0661,\u0661", "1_0,0,0,0", "\uff11 0 0 0", "0x1 0 0 0"])
 def test_angles_of_legs_in_a_text_are_numbers_of_ascii(text: str) -> None:
     with pytest.raises(InputError, match="configuration"):
-        leg_angles(wb.load_robot(load_description("swerve-ur10").source), text)
+        configuration_positions(wb.load_robot(load_description("swerve-ur10").source), text)
 
 
 # ---------------------------------------------------------------------- closed loops

@@ -35,10 +35,8 @@ FEET = (
     "model/wheels.py",
     "robots/",
     "stability/",
-    "view/",
     "ocp/residuals.py",
     "tasks/tip_over.py",
-    "cli/running.py",
 )
 #: The tables of base types and of robots with which tasks start, the name that :class:`wbmpc.bases.base.Base` gives the group of wheels, and
 #: the names of checks.

@@ -420,7 +420,7 @@ def test_its_robot_follows_a_goal_dragged_in_the_view(gantry: Path, monkeypatch:
     dragged, view = Dragged(), View("gantry", port=free_port())
     try:
         assert session.run_session(str(gantry), 1, view, dragged).reason == ""
-        assert view.steered and view.board.text == "The run is over"
+        assert view.commanded and view.board.text == "The run is over"
     finally:
         view.close()
     plant = dragged.running.plant

@@ -106,7 +106,7 @@ def cold_start(problem: Problem, shared: AcadosProblem, measure: Measure, repeat
         def solve() -> tuple[float, Array, Array]:
             few.warm_start(*start)
             few.reset()
-            elapsed = processor_time(lambda: few._run(problem.x0))
+            elapsed = processor_time(lambda: few.iterate(problem.x0))
             found = few.trajectory()
             return elapsed, found.x, found.u
 
@@ -168,9 +168,9 @@ def one_iteration(problem: Problem, shared: AcadosProblem, x: Array, u: Array, r
 
     settings, _ = search(score, shared.program.n, ("blocks", "mode", "mu0", "tolerance", "warm"))
     solver, times = theirs(settings), np.empty((repeat, 2))
-    single._run(problem.x0)
+    single.iterate(problem.x0)
     for i in range(repeat):
-        times[i] = processor_time(lambda: single._run(problem.x0)), solver.solve(problem.x0)[1]
+        times[i] = processor_time(lambda: single.iterate(problem.x0)), solver.solve(problem.x0)[1]
     rows: list[dict[str, Any]] = [{"ms": float(t)} for t in times.min(axis=0)]
     rows[1]["settings"] = str(settings)
     return rows
@@ -249,11 +249,11 @@ def our_iterations(problem: Problem, loop: Loop, barrier: float) -> Iterate:
     settings = SQP.real_time(interior_point=InteriorPoint("real_time", barrier))
     single = single_iteration(problem.solver, *loop.first, settings)
     for _ in range(5):  # its own multipliers
-        single._run(loop.states[0])
+        single.iterate(loop.states[0])
     plan = single.trajectory(copy=False)
 
     def iterate(k: int, begins: bool) -> tuple[float, Array]:
-        elapsed = processor_time(lambda: single._run(loop.states[k], k * PERIOD, PERIOD if begins else 0.0))
+        elapsed = processor_time(lambda: single.iterate(loop.states[k], k * PERIOD, PERIOD if begins else 0.0))
         return elapsed, single.effort.directions, plan.u[0]
 
     return iterate

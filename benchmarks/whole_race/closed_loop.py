@@ -43,7 +43,7 @@ def our_planner(problem: Problem, counts: list[int]) -> Planner:
     def plan(x0: np.ndarray, guess: Plan, iterations: int) -> Plan:
         single.warm_start(*guess)
         for _ in range(iterations):
-            single._run(x0)
+            single.iterate(x0)
         counts.append(iterations)
         found = single.trajectory()
         return found.x, found.u

@@ -118,7 +118,7 @@ def profile(problem: Problem, repeat: int = 100) -> dict[str, Any]:
     solver.warm_start(problem.x0, problem.u0)
     solution = solver.solve(problem.x0)
     single = single_iteration(solver, solution.x, solution.u)
-    whole = float(milliseconds(lambda: single._run(problem.x0), repeat).min())
+    whole = float(milliseconds(lambda: single.iterate(problem.x0), repeat).min())
     stage = _stage_times(problem, solution.x, solution.u, program, repeat)
     packed = pack(solver.kernel, linearize(program, solution.x, solution.u, problem.x0), solver.problem.softness)
     slopes = 4 if program.stages.rk4 else 2

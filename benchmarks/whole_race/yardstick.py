@@ -154,7 +154,7 @@ def yardstick(problem: Problem, repeat: int = 200, rounds: int = 5) -> dict[str,
     after_x, after_u = np.empty_like(x), np.empty_like(u)
     library.trajectory(_address(after_x), _address(after_u))
     single = single_iteration(solver, x, u)
-    single._run(x0)
+    single.iterate(x0)
     ours = single.trajectory(copy=False)
     difference = max(np.abs(ours.x - after_x).max(), np.abs(ours.u - after_u).max())
     lq = linearize(Program(solver), solution.x, solution.u, problem.x0)
@@ -178,7 +178,7 @@ def _race(
     given = [_address(a) for a in (packed.ab, packed.h, packed.e)]
     start = _address(x0)
     calls = {
-        "ours_ms": lambda: single._run(x0),
+        "ours_ms": lambda: single.iterate(x0),
         "c_ms": lambda: library.iterate(start),
         "ours_riccati_ms": lambda: eliminate(packed),
         "c_riccati_ms": lambda: library.eliminate(*given, node, _address(packed.end), _address(packed.k)),

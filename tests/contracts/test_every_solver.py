@@ -97,7 +97,7 @@ def truth(name: str, refined: bool = False) -> tuple[np.ndarray, np.ndarray]:
     maker, near = PROBLEMS[name]
     problem = maker()
     solver = problem.solver(SOLVERS["slq"] if refined else SQP(iterations=400))
-    solver._run(problem.x0)  # samples the references
+    solver.iterate(problem.x0)  # samples the references
     if near:
         noise = np.random.default_rng(0)
         solver.warm_start(

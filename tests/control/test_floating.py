@@ -11,7 +11,7 @@ from toys import robot
 from wbmpc.bases.swerve.brake_control import FLOATING, BrakeControl, floating, reject_floating_way
 from wbmpc.errors import InputError
 from wbmpc.model.wheels import ModuleGeometry, wheel_velocities
-from wbmpc.stability import leg_angles
+from wbmpc.stability import configuration_positions
 from wbmpc.studies.pankert2022.mission import Mission, Reconfiguration
 
 SWERVE = robot("swerve-ur10")
@@ -27,11 +27,11 @@ def least_seen(leg: np.ndarray, motion: np.ndarray, geometry: ModuleGeometry = G
 
 
 def test_h_floats_sideways_and_x_and_a_do_not() -> None:
-    held, motion = floating(G, leg_angles(SWERVE, "H"), OPEN)
+    held, motion = floating(G, configuration_positions(SWERVE, "H"), OPEN)
     assert held < 1e-12 and abs(motion[1]) > 0.99 * np.linalg.norm(motion)
-    assert least_seen(leg_angles(SWERVE, "H"), motion) < 1e-12
+    assert least_seen(configuration_positions(SWERVE, "H"), motion) < 1e-12
     for name in "XA":
-        legs = leg_angles(SWERVE, name)
+        legs = configuration_positions(SWERVE, name)
         held, motion = floating(G, legs, OPEN)
         assert held > FLOATING and least_seen(legs, motion) > 0.01
 
@@ -66,13 +66,13 @@ def test_opening_in_h_is_rejected_unless_the_legs_move() -> None:
     with pytest.raises(InputError, match=r"nothing would hold the base against sideways .* valid: a closed brake"):
         brakes.set(1.0, OPEN, leg=np.zeros(4))
     assert not brakes.commanded(2.0).any()
-    brakes.set(1.0, OPEN, leg=leg_angles(SWERVE, "A"))
+    brakes.set(1.0, OPEN, leg=configuration_positions(SWERVE, "A"))
     assert brakes.commanded(2.0).all()
 
 
 def test_legs_may_pass_h_quickly_but_not_turn_all_parallel() -> None:
     """Legs that turn by the same angle from H are parallel all the way; to the mirror of X they pass H quickly."""
-    x, fast = leg_angles(SWERVE, "X"), np.full(4, 0.4)
+    x, fast = configuration_positions(SWERVE, "X"), np.full(4, 0.4)
     reject_floating_way(G, x, -x, OPEN, fast)
     reject_floating_way(G, np.zeros(4), x, OPEN, fast)
     reject_floating_way(G, np.zeros(4), np.zeros(4), OPEN, fast)  # there already: its brakes close
@@ -84,7 +84,7 @@ def test_legs_may_pass_h_quickly_but_not_turn_all_parallel() -> None:
 
 
 def test_a_mission_may_pass_h_but_not_stay_there() -> None:
-    h, x = leg_angles(SWERVE, "H"), leg_angles(SWERVE, "X")
+    h, x = configuration_positions(SWERVE, "H"), configuration_positions(SWERVE, "X")
     quick = Mission((), h, (Reconfiguration(5.3, x), Reconfiguration(12.0, h)), ((5.0, 1.0), (16.5, 0.0)))
     quick.apply(BrakeControl(SWERVE))
     late = Mission((), h, (Reconfiguration(7.0, x),), ((5.0, 1.0), (12.0, 0.0)))
@@ -116,9 +116,15 @@ def test_a_way_that_is_none_is_rejected(given: tuple, words: str) -> None:
 
 
 def test_legs_without_a_limit_of_speed_are_there_at_once() -> None:
-    reject_floating_way(G, np.zeros(4), leg_angles(SWERVE, "X"), OPEN, np.full(4, np.inf))
+    reject_floating_way(G, np.zeros(4), configuration_positions(SWERVE, "X"), OPEN, np.full(4, np.inf))
     with pytest.raises(InputError, match="on the way"):  # and stay: all parallel
-        reject_floating_way(G, leg_angles(SWERVE, "X"), leg_angles(SWERVE, "H"), OPEN, [np.inf, np.inf, np.inf, 0.01])
+        reject_floating_way(
+            G,
+            configuration_positions(SWERVE, "X"),
+            configuration_positions(SWERVE, "H"),
+            OPEN,
+            [np.inf, np.inf, np.inf, 0.01],
+        )
 
 
 @pytest.mark.parametrize("delay", [-1.0, np.nan, np.inf])

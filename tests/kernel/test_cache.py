@@ -272,7 +272,7 @@ def test_the_integrator_belongs_to_the_key(folder: Path) -> None:
         ocp = OptimalControlProblem(chain, 6.0, 6, integrator=integrator)
         ocp.add(Cost("all", residuals.Expression(13, lambda s: ca.vertcat(s.x - 0.3, s.u)), 1.0))
         solver = Solver(ocp, SQP(iterations=1, compute_kkt=False), use_cache=use_cache)
-        solver._run(np.zeros(12))
+        solver.iterate(np.zeros(12))
         return solver.ws.k.copy()
 
     for integrator in ("rk2", "rk4"):

@@ -83,7 +83,7 @@ def test_plans_start_where_the_robot_is(speed: float) -> None:
     solvers = [Solver(trolley(), SQP.real_time(backend=name)) for name in ("compiled", "interpreted")]
     for k, x in enumerate(([0.0, 0.0], [0.0, 0.0], [0.0, speed], [0.02 * speed, 0.98 * speed])):
         for s in solvers:
-            s._run(np.array(x), 0.02 * k, 0.02 if k else 0.0)
+            s.iterate(np.array(x), 0.02 * k, 0.02 if k else 0.0)
     first, twin = (s.trajectory() for s in solvers)
     assert np.abs(first.x[0] - x).max() < 0.05 * abs(speed)
     assert first.u[0, 0] * np.sign(speed) < 0.95 * -HARDEST  # it brakes

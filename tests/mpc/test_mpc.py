@@ -49,13 +49,13 @@ def test_first_policy_is_the_iterated_solution() -> None:
 
 def test_iterations_of_the_first_plan_are_those_of_all_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     mpc, counts = make(first_iterations=4), []
-    run = mpc.solver._run
+    run = mpc.solver.iterate
 
     def counted(*given: Any) -> tuple[int, int]:
         counts.append(run(*given)[1])
         return 0, counts[-1]
 
-    monkeypatch.setattr(mpc.solver, "_run", counted)
+    monkeypatch.setattr(mpc.solver, "iterate", counted)
     mpc.update(Observation(0.0, START))
     assert counts == [1] * 4 and mpc.solve_info["iterations"] == 4
     mpc.update(Observation(0.02, START))
@@ -142,14 +142,14 @@ def test_a_plan_that_is_not_finite_never_comes_into_force(part: str, monkeypatch
     """Whatever the solver's status says (which part it finds: tests/solver/test_trajectory.py)."""
     mpc = make()
     last = mpc.update(Observation(0.0, START))
-    honest = mpc.solver._run
+    honest = mpc.solver.iterate
 
     def spoilt(*arguments):  # type: ignore[no-untyped-def]
         outcome = honest(*arguments)
         monkeypatch.setattr(mpc.solver, "non_finite_part", lambda: part)
         return outcome
 
-    monkeypatch.setattr(mpc.solver, "_run", spoilt)
+    monkeypatch.setattr(mpc.solver, "iterate", spoilt)
     assert mpc.update(Observation(0.02, START)) is last
     assert (mpc.statistics.solves, mpc.statistics.failures) == (2, 1)
     assert mpc.fault == f"failed: the {part} is not finite"
@@ -161,8 +161,8 @@ def test_a_plan_that_is_not_finite_never_comes_into_force(part: str, monkeypatch
 def test_a_solve_that_diverged_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     mpc = make()
     last = mpc.update(Observation(0.0, START))
-    honest = mpc.solver._run
-    monkeypatch.setattr(mpc.solver, "_run", lambda *a: (DIVERGED, honest(*a)[1]))
+    honest = mpc.solver.iterate
+    monkeypatch.setattr(mpc.solver, "iterate", lambda *a: (DIVERGED, honest(*a)[1]))
     assert mpc.update(Observation(0.02, START)) is last
     assert mpc.statistics.failures == 1
 
@@ -173,14 +173,14 @@ def test_solves_without_a_step_are_counted() -> None:
     for k in range(5):
         mpc.update(Observation(0.02 * k, START))
     assert (mpc.statistics.solves, mpc.statistics.no_step, mpc.statistics.failed_share) == (5, 0, 0.0)
-    honest = mpc.solver._run
+    honest = mpc.solver.iterate
 
     def stuck(*arguments):  # type: ignore[no-untyped-def]
         out = honest(*arguments)
         mpc.solver.log[:, COLUMNS["alpha"]] = 0.0
         return out
 
-    mpc.solver._run = stuck  # type: ignore[method-assign]
+    mpc.solver.iterate = stuck  # type: ignore[method-assign]
     for k in range(5, 10):
         mpc.update(Observation(0.02 * k, START))
     assert (mpc.statistics.solves, mpc.statistics.no_step, mpc.statistics.failed_share) == (10, 5, 0.5)
@@ -337,14 +337,14 @@ def test_a_plan_that_no_solve_can_go_on_from_is_given_up() -> None:
 
 def reject(mpc: MPC, monkeypatch: pytest.MonkeyPatch, spoil: Any = lambda: None) -> None:
     """Solves as they are, said to miss a hard limit; ``spoil`` what they leave."""
-    honest = mpc.solver._run
+    honest = mpc.solver.iterate
 
     def missed(*arguments):  # type: ignore[no-untyped-def]
         _, count = honest(*arguments)
         spoil()
         return INPUT_INFEASIBLE, count
 
-    monkeypatch.setattr(mpc.solver, "_run", missed)
+    monkeypatch.setattr(mpc.solver, "iterate", missed)
 
 
 def test_rejected_again_and_again_the_next_solve_goes_on_from_its_own_iterate(monkeypatch: pytest.MonkeyPatch) -> None:

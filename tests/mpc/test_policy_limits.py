@@ -414,9 +414,9 @@ def test_terms_that_come_too_late_are_rejected_by_name(mpc: MPC) -> None:
     previous = solver.ocp.terms["bounds"]
     solver.ocp.terms["bounds"] = late
     with pytest.raises(InputError, match="term 'late'"):
-        solver._run(START)
+        solver.iterate(START)
     solver.ocp.terms["bounds"] = previous
-    solver._run(START)
+    solver.iterate(START)
 
 
 def test_rows_that_share_inputs_are_one_group() -> None:

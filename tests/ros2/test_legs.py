@@ -23,7 +23,7 @@ from wbmpc.ros2.bus import DEFAULT
 from wbmpc.ros2.hold_ups import HoldUps
 from wbmpc.ros2.network import Network
 from wbmpc.ros2.publishers import rejections
-from wbmpc.stability import leg_angles
+from wbmpc.stability import configuration_positions
 from wbmpc.types import Observation
 
 pytestmark = needs_dds
@@ -89,10 +89,10 @@ def test_single_legs_brakes_and_a_configuration_by_name(robot: Any) -> None:
     assert s.until(lambda: closed(s))
     answer = ask(s, {"configuration": "A"})
     assert answer.success and answer.message.startswith("leg_LF to -0.498 rad, leg_RF to 0.498")
-    assert s.until(lambda: np.array_equal(s.control.base_commands.commands.angles, leg_angles(ROBOT, "A"))), (
-        s.control.base_commands.commands.angles
-    )
-    previous, way = angles(s), leg_angles(ROBOT, "A") - angles(s)
+    assert s.until(
+        lambda: np.array_equal(s.control.base_commands.commands.angles, configuration_positions(ROBOT, "A"))
+    ), s.control.base_commands.commands.angles
+    previous, way = angles(s), configuration_positions(ROBOT, "A") - angles(s)
     assert s.until(lambda: np.all((angles(s) - previous) * np.sign(way) > 0.02)), angles(s)
 
 
@@ -104,7 +104,7 @@ def test_legs_that_hold_nothing_are_not_let_go(robot: Any, caplog: pytest.LogCap
     legs._put(nowhere, free)
     assert not legs.apply(brakes, 1.0, np.zeros(4)) and not brakes.commanded(2.0).any()
     assert "a command for the legs is rejected: brakes: with these legs" in caplog.text
-    legs._put(leg_angles(ROBOT, "X"), free)
+    legs._put(configuration_positions(ROBOT, "X"), free)
     assert legs.apply(brakes, 1.0, np.zeros(4)) and brakes.commanded(2.0).all()
     legs.stop()
 
@@ -209,7 +209,7 @@ def test_legs_with_little_left_to_go_arrive() -> None:
     adapter = SwerveRosAdapter(ROBOT, SwerveRosSettings(), 1.0 / 400.0)
     node: Any = SimpleNamespace(subscribe=lambda *given, **also: None, serve=lambda *given, **also: None)
     legs = Legs(node, ROBOT, adapter.settings, lambda: "", lambda: None)
-    x, goal, part = ROBOT.home.copy(), leg_angles(ROBOT, "X"), ROBOT.state["leg"]
+    x, goal, part = ROBOT.home.copy(), configuration_positions(ROBOT, "X"), ROBOT.state["leg"]
     x[part] = goal - 0.05 * np.sign(goal)
     adapter.begin(x)
     task, t = adapter.planner.hold(x, 0.0), 0.0

@@ -171,7 +171,7 @@ def test_linearized_dynamics_are_the_derivative_of_the_step(kind: str) -> None:
 def test_quaternion_norm_does_not_drift_in_simulation() -> None:
     model = robot("swerve-ur10", orientation="quaternion")
     solver = quaternion_solver("quaternion")
-    solver._run(model.home)
+    solver.iterate(model.home)
     x, u = model.home.copy(), np.zeros(model.input.size)
     u[:3] = [0.5, 0.1, 0.9]
     for _ in range(1000):

@@ -46,7 +46,7 @@ def test_it_is_the_hessian_of_the_lagrangian(integrator: str) -> None:
     solver.set_reference("state", base.references["state"])
     x, u = 0.5 * rng.normal(size=(6, 4)), rng.normal(size=(5, 2))
     solver.warm_start(x, u)
-    solver._run(START)  # samples the references; the iterate is put back
+    solver.iterate(START)  # samples the references; the iterate is put back
     solver.warm_start(x, u)
     blocks = hessians(solver)
     t, p, w = solver.problem, solver.ws.p, solver.ws.w
@@ -197,7 +197,7 @@ def test_a_solve_that_gauss_newton_would_not_finish_goes_on_with_the_exact_hessi
     solver.warm_start(np.zeros(1), np.full(1, 0.5))
     assert solver.solve(np.zeros(1)).iterations == first.iterations
     solver.warm_start(np.zeros(1), np.full(1, 0.5))
-    assert solver.status(solver._run(np.zeros(1))[0]) is Status.ITERATION_LIMIT
+    assert solver.status(solver.iterate(np.zeros(1))[0]) is Status.ITERATION_LIMIT
 
 
 @pytest.mark.parametrize("rows", [False, True])
@@ -215,7 +215,7 @@ def test_nothing_of_it_stays_behind(rows: bool) -> None:
     def gains() -> np.ndarray:
         solver.reset()
         solver.warm_start(np.full(n, 0.2), np.zeros(1))
-        solver._run(np.full(n, 0.1))
+        solver.iterate(np.full(n, 0.1))
         return solver.ws.k.copy()
 
     first = gains()

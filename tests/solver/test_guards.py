@@ -87,7 +87,7 @@ def test_every_way_into_the_memory_is_closed_while_another_thread_is_in_it(what:
         "solve": lambda: mpc.solver.solve(lq.x0),
         "warm_start": lambda: mpc.solver.warm_start(lq.x0),
         "simulate": lambda: mpc.solver.simulate(lq.x0, u, 0.1),
-        "run": lambda: mpc.solver._run(lq.x0),
+        "run": lambda: mpc.solver.iterate(lq.x0),
         "update": lambda: mpc.update(wb.Observation(0.0, lq.x0)),
         "advance": lambda: mpc.advance(wb.Observation(0.0, lq.x0)),
         "reset": lambda: mpc.reset(lq.x0),

@@ -130,20 +130,20 @@ def test_same_iterates_as_the_twin(mode: str, algorithm: type[SQP]) -> None:
         for k in ("compiled", "interpreted")
     )
     for s in (a, b):
-        s._run(START, 0.1)
+        s.iterate(START, 0.1)
     np.testing.assert_allclose(a.ws.x, b.ws.x, atol=1e-6)
     np.testing.assert_allclose(a.ws.u, b.ws.u, atol=1e-5)
     np.testing.assert_allclose(
         a.log[:9, [0, 1, 2, 3, 4, 7, 8, 9]], b.log[:9, [0, 1, 2, 3, 4, 7, 8, 9]], rtol=1e-4, atol=1e-6
     )
     count = len(a.problem.path.rows)
-    twin = np.array([r.l for r in b.twin.own[1:-1]])
+    twin = np.array([r.l for r in b._backend.twin.own[1:-1]])
     np.testing.assert_allclose(a.ws.rows_l[1:-1, :count], twin, rtol=1e-3, atol=1e-6)
 
 
 def test_every_iterate_of_single_shooting_is_a_motion_of_the_model() -> None:
     solver = hardened_pendulum(ILQR(iterations=3, compute_kkt=False))
-    solver._run(START)
+    solver.iterate(START)
     x = START
     np.testing.assert_array_equal(solver.ws.x[0], START)
     for k, h in enumerate(np.diff(solver.ws.grid)):
@@ -309,7 +309,7 @@ def test_equalities_hold_beside_saturated_inputs() -> None:
         ocp.add(Cost("u", Rows(nu, lambda s: s.u), list(curvature)))
         ocp.add(Constraint("rows", Rows(ng, lambda s, c=c, d=d, e=e: ca.DM(c) @ s.x + ca.DM(d) @ s.u + ca.DM(e))))
         solver = Solver(ocp, SQP(iterations=1, compute_kkt=False, accept_min_step=True), use_cache=False)
-        solver._run(rng.normal(size=nx))
+        solver.iterate(rng.normal(size=nx))
         left = solver.ws.x[:-1] @ c.T + solver.ws.u @ d.T + e
         assert np.abs(left).max() < 1e-6, seed
 
@@ -355,7 +355,7 @@ def test_the_log_has_a_row_for_every_iteration() -> None:
     real_time = SQP.real_time(interior_point=InteriorPoint("real_time", 3e-2))
     solver = hardened_pendulum(real_time, n=8, equality=False)
     rng = np.random.default_rng(0)
-    counts = [solver._run(rng.normal(size=4) * rng.choice([3.0, 10.0]), 0.0)[1] for _ in range(300)]
+    counts = [solver.iterate(rng.normal(size=4) * rng.choice([3.0, 10.0]), 0.0)[1] for _ in range(300)]
     assert len(solver.log) - 1 <= max(counts) <= len(solver.log)
 
 
@@ -371,13 +371,13 @@ def test_after_a_jump_few_real_time_solves_come_to_the_quadratic_programs_plan(b
     ocp.add(Constraint("speed", Rows(2, lambda s: s.x[2:]), sets.Box(-0.5, 0.5), hard=True, slack=1e6))
     solver, jumped = Solver(ocp, SQP.real_time(backend=backend)), np.array([1.5, -0.7, 0.0, 0.0])
     for _ in range(3):
-        solver._run(np.zeros(4), 0.0)
+        solver.iterate(np.zeros(4), 0.0)
     _, truth = quadratic_program(solver, jumped)
     for _ in range(3):
-        solver._run(jumped, 0.0)
+        solver.iterate(jumped, 0.0)
     assert np.abs(solver.ws.u - truth).max() < 0.06
     assert np.abs(solver.ws.u[0] - truth[0]).max() < 1e-3
-    _, count = solver._run(jumped, 0.0)
+    _, count = solver.iterate(jumped, 0.0)
     assert count == 1  # the barrier parameter is as small as ever
 
 

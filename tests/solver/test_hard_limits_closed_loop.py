@@ -57,11 +57,11 @@ def drive(
     limits = robot(name).limits
     inputs, planned, outside, longest = 0.0, 0.0, np.zeros(x.size), 0.0
     for _ in range(20):
-        solver._run(x, 0.0)
+        solver.iterate(x, 0.0)
     for k in range(steps):
         t = k * period
         x = push(t, x)
-        solver._run(x, t, period if k else 0.0)
+        solver.iterate(x, t, period if k else 0.0)
         u = solver.ws.u[0].copy()
         inputs = max(inputs, excess(u, limits.input_lower, limits.input_upper).max())
         planned = max(planned, excess(solver.ws.x[1:], limits.state_lower, limits.state_upper).max())

@@ -119,7 +119,7 @@ def limited() -> tuple[Solver, Callable[[], object]]:
     def solve() -> None:
         count[0] += 1
         k = count[0] % 3000
-        solver._run(starts[k // 20 % 3], 0.01 * k, 0.01 if k else 0.0)
+        solver.iterate(starts[k // 20 % 3], 0.01 * k, 0.01 if k else 0.0)
 
     return solver, solve
 
@@ -134,7 +134,7 @@ def real_time(name: str) -> tuple[Solver, Callable[[], object]]:
 
     def solve() -> None:
         clock[0] += 0.001
-        solver._run(x0, clock[0], 0.001)
+        solver.iterate(x0, clock[0], 0.001)
 
     return solver, solve
 
@@ -154,7 +154,7 @@ def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
     solver, solve = limited()
     seen: dict[str, int] = dict.fromkeys(("passed", "held", "fine"), 0)
     status = set()
-    run = solver._run
+    run = solver.iterate
 
     def reported(*given: Any) -> tuple[int, int]:
         code, count = run(*given)
@@ -164,7 +164,7 @@ def test_the_limited_trolley_is_all_that_it_is_to_be() -> None:
         seen["fine"] += solver.limit_violation == 0.0 and code == 1
         return code, count
 
-    solver._run = reported  # type: ignore[method-assign]
+    solver.iterate = reported  # type: ignore[method-assign]
     for _ in range(300):
         solve()
     assert min(seen.values()) > 5 and Status.EQUALITY_INFEASIBLE in status, (seen, status)
@@ -241,9 +241,9 @@ def test_solves_hold_no_interpreter_lock() -> None:
     """Ticks beside long solves are nearly as regular as beside a thread that sleeps; with the lock held they are not."""
     solver = swerve_solver(n=60, **vars(SQP.real_time(10)))
     x0 = solver.trajectory().x[0]
-    solver._run(x0)
+    solver.iterate(x0)
     start = time.perf_counter()
-    solver._run(x0)
+    solver.iterate(x0)
     duration = time.perf_counter() - start
     entry, address = solver._entry, LIBRARY.address(f"{receding_solve.signature.symbol}.entry")
     types: Any = entry.argtypes if entry.argtypes is not None else type(entry)._argtypes_
@@ -252,9 +252,9 @@ def test_solves_hold_no_interpreter_lock() -> None:
     for _ in range(16):  # in turns, and again: the machine may be busy
         idle.append(lateness(lambda: time.sleep(duration), 0.25))
         solver._entry = entry
-        free.append(lateness(lambda: solver._run(x0), 0.25))
+        free.append(lateness(lambda: solver.iterate(x0), 0.25))
         solver._entry = holding
-        held.append(lateness(lambda: solver._run(x0), 0.25))
+        held.append(lateness(lambda: solver.iterate(x0), 0.25))
         regular = min(free) < 0.4 * min(held) and min(free) < 5.0 * min(idle) + 0.2 * duration
         if regular and len(free) > 2:
             break

@@ -28,10 +28,10 @@ def shifted(solver: Solver, delta: float) -> None:
 def moved(solver: Solver, t: float, delta: float) -> None:
     """By ``delta`` to ``t`` [s]."""
     if solver.settings.backend == "interpreted":
-        solver.twin._shift(solver._current_tables(), t, delta)
-        solver.twin._shift_multipliers(delta)
+        solver._backend.twin._shift(solver.data.tables(), t, delta)
+        solver._backend.twin._shift_multipliers(delta)
     else:
-        tables = solver._current_tables()
+        tables = solver.data.tables()
         align(solver.ws.memory, solver.ws.table, *tables, t)
         shift_multipliers(solver.ws.memory, solver.ws.table, delta)
         shift(solver.ws.memory, solver.ws.table, *tables, t, delta)
@@ -63,7 +63,7 @@ def test_shift_does_not_mix_modes(backend: str, aligned: bool) -> None:
     events = np.array([0.31, 0.77, 1.6])
     solver.set_schedule(ModeSchedule(tuple(Mode("ab"[k % 2]) for k in range(4)), tuple(events)))
     of = lambda t: np.searchsorted(events, t + 1e-9, side="right").astype(float)
-    solver._run(np.zeros(1))
+    solver.iterate(np.zeros(1))
     for k in range(1, 60):
         t = 0.03 * k
         solver.warm_start(np.zeros(1), of(t - 0.03 + solver.ws.grid[:-1])[:, None])
@@ -178,7 +178,7 @@ def test_a_jump_between_two_samples_of_the_same_time() -> None:
 def test_the_twin_samples_the_same() -> None:
     a, b = pendulum(), pendulum("interpreted")
     for s in (a, b):
-        s._run(np.zeros(4), 0.3)
+        s.iterate(np.zeros(4), 0.3)
     np.testing.assert_allclose(a.ws.p, b.ws.p, rtol=0, atol=1e-15)
 
 
@@ -189,7 +189,7 @@ def test_modes_change_at_the_event() -> None:
     solver = Solver(ocp, SQP(iterations=1, compute_kkt=False), use_cache=False)
     solver.set_schedule(ModeSchedule((Mode("a", {"m": [3.0]}), Mode("b", {"m": [4.0]})), (10.3,)))
     for t0, first in ((10.0, 3), (10.1, 2), (10.25, 1), (10.3, 0), (9.0, 11), (12.0, 0)):
-        solver._run(np.zeros(1), t0)
+        solver.iterate(np.zeros(1), t0)
         want = np.where(np.arange(11) >= first, 4.0, 3.0)
         np.testing.assert_array_equal(solver.ws.p[:, 0], want)
         np.testing.assert_array_equal(solver.ws.p[:, 1], want - 3.0)
@@ -265,7 +265,7 @@ def swing(backend: str) -> Solver:
 def multipliers(solver: Solver) -> np.ndarray:
     """Of the path's rows (N, rows), as a view of the compiled solver's memory or a copy of the twin's."""
     if solver.settings.backend == "interpreted":
-        return np.array([r.l for r in solver.twin.own[:-1]])
+        return np.array([r.l for r in solver._backend.twin.own[:-1]])
     m, o = solver.ws.memory, solver.ws.table
     n, rows = int(o[N]), int(o[ROWS])
     return np.asarray(m[o[ROW_L] : o[ROW_L] + n * rows].reshape(n, rows)[:, : len(solver.problem.path.rows)])
@@ -309,11 +309,11 @@ def test_ticks_with_active_limits_take_one_iteration(barrier: float) -> None:
     exact = trolley(SQP())
     x, h, saturated = np.array([-1.0, 0.0]), float(solver.ws.grid[1]), 0
     for _ in range(10):
-        solver._run(x)
+        solver.iterate(x)
     for k in range(1, 40):
         x = solver.simulate(x, solver.ws.u[0], h)
         x[1] -= 1.0 if k == 20 else 0.0
-        solver._run(x, k * h, h)
+        solver.iterate(x, k * h, h)
         assert solver.effort.directions == 1, k
         found = exact.solve(x)
         assert found.status is Status.CONVERGED
@@ -332,7 +332,7 @@ def test_the_twin_takes_as_many_iterations() -> None:
     h = float(solvers[0].ws.grid[1])
     for k in range(30):
         x = x + np.array([0.3, 2.5]) * (k == 5) + np.array([0.1, -1.2]) * (k == 15)
-        found.append([s._run(x, k * h, h)[1] for s in solvers])
+        found.append([s.iterate(x, k * h, h)[1] for s in solvers])
         x = solvers[0].simulate(x, solvers[0].ws.u[0], h)
     assert all(one == other for one, other in found) and max(one for one, _ in found) > 2
 

@@ -32,9 +32,9 @@ def one_step(lq: LinearQuadratic, backend: str = "compiled") -> Step:
     solver.warm_start(0.1 * np.ones(lq.nx), 0.2 * np.ones(lq.nu))
     nx = lq.nx
     if backend == "interpreted":
-        found = solver.twin.iterate(lq.x0)
+        found = solver._backend.twin.iterate(lq.x0)
         return Step(0.1 + found["dx"], 0.2 + found["du"], solver.ws.k[0], found["value"])
-    solver._run(lq.x0)
+    solver.iterate(lq.x0)
     return Step(0.1 + solver.ws.dx[:, :nx], 0.2 + solver.ws.du, solver.ws.k[0, :, :nx], solver.ws.value[:nx, :nx])
 
 

@@ -31,7 +31,7 @@ def test_same_iterates_as_the_twin(integrator: str, equality: bool) -> None:
         s.set_parameters({"w": np.array([0.4])})
     for _ in range(12):
         for s in solvers:
-            s._run(START, 0.1)
+            s.iterate(START, 0.1)
         a, b = solvers
         np.testing.assert_allclose(a.ws.x, b.ws.x, rtol=0, atol=1e-7)
         np.testing.assert_allclose(a.ws.u, b.ws.u, rtol=0, atol=1e-6)
@@ -192,7 +192,7 @@ def test_simulate_is_the_twins_step_and_the_truth(integrator: str) -> None:
 
     a, b = pendulum("compiled", integrator), pendulum("interpreted", integrator)
     u = np.array([1.5, -0.5])
-    a._run(START), b._run(START)
+    a.iterate(START), b.iterate(START)
     np.testing.assert_allclose(a.simulate(START, u, 0.03), b.simulate(START, u, 0.03), atol=1e-13)
     f = a.problem.values["dynamics"]
     rhs = lambda t, x: np.array(f(x, u, a.ws.p[0], a.ws.w)).ravel()
@@ -220,9 +220,9 @@ def test_compiled_iterations_are_much_faster_than_interpreted() -> None:
         swerve_solver(backend="interpreted", **quick),
         swerve_solver(**{**quick, "compute_kkt": True}),
     )
-    compiled, interpreted = fastest(lambda: a._run(model.home), 100), fastest(lambda: b._run(model.home), 2)
+    compiled, interpreted = fastest(lambda: a.iterate(model.home), 100), fastest(lambda: b.iterate(model.home), 2)
     assert interpreted > 20.0 * compiled
-    assert fastest(lambda: c._run(model.home), 100) < 3.0 * compiled
+    assert fastest(lambda: c.iterate(model.home), 100) < 3.0 * compiled
 
 
 @pytest.mark.parametrize("algorithm", [SQP, ILQR])

@@ -80,7 +80,7 @@ def test_a_rejected_plan_names_what_it_is_rejected_for(backend: str) -> None:
     ocp.add(Constraint("mixed", Rows(1, lambda s: s.x[0] + s.u[0] - 4.0), sets.NonNegative(), hard=True, slack=1.0))
     ocp.add(Constraint("far", Rows(1, lambda s: s.x[1] - 4.0), sets.NonNegative(), hard=True, slack=1.0))
     solver = Solver(ocp, SQP.real_time(backend=backend))
-    solver._run(np.ones(2), 0.0, 0.0)
+    solver.iterate(np.ones(2), 0.0, 0.0)
     worst = solver.violation_message(solver.status(0))
     assert "mixed" in worst or "far" in worst
     state, names = solver.ws.state, [row.name for row in solver.problem.path.rows]

@@ -50,7 +50,7 @@ def grid_for(base: np.ndarray, events: list[float], t0: float) -> np.ndarray:
     ocp.add(Cost("u", Rows(1, lambda s: s.u)))
     solver = GRIDS.setdefault(len(base), Solver(ocp, SQP(iterations=1)))
     solver.set_schedule(ModeSchedule((Mode("default"),) * (len(events) + 1), tuple(events)))
-    align(solver.ws.memory, solver.ws.table, *solver._current_tables(), t0)
+    align(solver.ws.memory, solver.ws.table, *solver.data.tables(), t0)
     return solver.ws.grid.copy()
 
 
@@ -122,7 +122,7 @@ def test_sensitivity_through_a_jump_is_the_derivative() -> None:
     """Gaps by differences of the node before the event: b(x + δ) − b(x) = [A B] δ."""
     solver = ball()
     rng = np.random.default_rng(0)
-    solver._run(np.array([1.0, 0.0]))
+    solver.iterate(np.array([1.0, 0.0]))
     k = int(np.argmin(np.abs(solver.ws.grid - 0.437))) - 1
     solver.warm_start(rng.normal(size=(11, 2)), rng.normal(size=(10, 1)))
     s = solver.kernel.sizes
@@ -160,7 +160,7 @@ def test_shift_across_a_moving_grid_keeps_a_linear_plan() -> None:
     solver.set_schedule(ModeSchedule((Mode("default"),) * 2, (0.53,)))
     t = 0.0
     for k in range(30):
-        solver._run(np.array([0.7 * t]), t, 0.0 if k == 0 else 0.01)
+        solver.iterate(np.array([0.7 * t]), t, 0.0 if k == 0 else 0.01)
         if k:
             np.testing.assert_allclose(solver.ws.x[:, 0], 0.7 * (t + solver.ws.grid), atol=1e-9)
             assert np.abs(solver.ws.grid + t - 0.53).min() < 1e-12
@@ -199,10 +199,10 @@ def test_events_of_a_state_that_jumps_need_intervals_of_their_own() -> None:
         solver.solve(np.array([1.0, 0.0]))
     # truth: by hand, intervals of 0.1 s; an event on a node ends the interval before it
     lost = {0.0: 1, 0.015: 0, 0.02: 1, 0.315: 0, -0.69: 0, -0.61: 1}
-    solver.schedule = ModeSchedule((DOWN, UP, DOWN), (0.31, 0.32))
+    solver.data.schedule = ModeSchedule((DOWN, UP, DOWN), (0.31, 0.32))
     for t0, count in lost.items():
         assert solver.events_without_node(t0) == count, t0
-    solver.schedule = ModeSchedule((DOWN, UP, DOWN), (0.3, 0.35))
+    solver.data.schedule = ModeSchedule((DOWN, UP, DOWN), (0.3, 0.35))
     assert solver.events_without_node(0.0) == 0
     mpc = MPC(solver.ocp, rate=10.0)
     mpc.set_schedule(ModeSchedule((DOWN, UP, DOWN), (0.3, 0.4)))

@@ -29,7 +29,7 @@ def rest_to_rest(distance: float, intervals: int = 10, **settings: Any) -> Solve
 @pytest.mark.parametrize(("distance", "want"), [(0.24, Finding.MET), (0.26, Finding.INFEASIBLE)])
 def test_what_inputs_allow_is_found_from_any_iterate(distance: float, want: Finding) -> None:
     rng, solver = np.random.default_rng(2), rest_to_rest(distance)
-    solver._run(np.zeros(2))
+    solver.iterate(np.zeros(2))
     for _ in range(5):
         solver.warm_start(rng.normal(size=(11, 2)), 3.0 * rng.normal(size=(10, 1)))
         assert least_violation(solver) is want
@@ -69,5 +69,5 @@ def test_parameters_modes_and_references_are_those_of_the_solve(
     solver.set_schedule(ModeSchedule((Mode(mode),)))
     solver.set_parameters(np.array([strength]))
     solver.set_reference("there", Reference(np.array([5.9, 6.0]), np.array([[0.24, 0.0], [0.28, 0.0]])))
-    solver._run(np.zeros(2), t0)
+    solver.iterate(np.zeros(2), t0)
     assert least_violation(solver) is want

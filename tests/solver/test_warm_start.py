@@ -77,7 +77,7 @@ def test_no_solve_costs_more_than_the_settings_say() -> None:
     solver.warm_start(np.zeros(2))
     costs = []
     for _ in range(100):
-        solver._run(rng.normal(size=2) * [1.0, 2.0], delta=0.02)
+        solver.iterate(rng.normal(size=2) * [1.0, 2.0], delta=0.02)
         costs.append(solver.effort)
     worst = np.max(costs, axis=0)
     assert np.all(worst <= settings.max_effort) and worst[0] > 1

@@ -22,7 +22,7 @@ from wbmpc.stability import (
     Load,
     StanceOf,
     assess,
-    leg_angles,
+    configuration_positions,
     margin,
     slope_gravity,
     support_polygon,
@@ -243,13 +243,13 @@ def test_bad_input_is_one_message() -> None:
     with pytest.raises(InputError, match="stands on 3 feet or more"):
         assess(robot("rezero"))
     with pytest.raises(InputError, match="unknown configuration 'Y'"):
-        leg_angles(SWERVE, "Y")
+        configuration_positions(SWERVE, "Y")
     with pytest.raises(InputError, match="outside its limits"):
-        leg_angles(SWERVE, "2,0,0,0")
+        configuration_positions(SWERVE, "2,0,0,0")
     with pytest.raises(InputError, match="4 angles"):
-        leg_angles(SWERVE, "0.1,0.2")
+        configuration_positions(SWERVE, "0.1,0.2")
     with pytest.raises(InputError, match="legs are fixed"):
-        leg_angles(robot("swerve-fixed-ur10"), "H")
+        configuration_positions(robot("swerve-fixed-ur10"), "H")
     with pytest.raises(InputError, match="'wrench' needs 6 finite numbers"):
         STANCE(SWERVE.home, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(InputError, match="different feet of 0 to 3"):

@@ -28,7 +28,7 @@ from wbmpc.ocp.symbols import Symbols
 from wbmpc.robots import load_spec
 from wbmpc.simulation.any_perturbation import AnyPerturbation
 from wbmpc.simulation.payloads import add_payload
-from wbmpc.stability import Load, Support, friction_needed, leg_angles
+from wbmpc.stability import Load, Support, configuration_positions, friction_needed
 
 HALF, MAST, WIDE = 0.3, 0.8, 0.25
 CORNERS = [((x, y), (0.0, 1.0, 0.0)) for x in (HALF, -HALF) for y in (WIDE, -WIDE)]
@@ -143,7 +143,7 @@ def test_load_with_a_payload_is_that_of_mujocos_inverse_dynamics(name: str, seed
 def test_loads_at_rest_are_mujocos_contact_forces() -> None:
     model = ROBOTS["swerve-ur10"]
     x = model.home.copy()
-    x[model.state["leg"]] = leg_angles(model, "H")
+    x[model.state["leg"]] = configuration_positions(model, "H")
     x[model.state["steer"]] = 0.0
     plant = SwervePlant(model.description, model.state.split(x), AnyPerturbation.none(payload=10.0), 0)
     for _ in range(200):
@@ -158,7 +158,7 @@ def test_loads_of_a_robot_that_speeds_up_are_mujocos_contact_forces() -> None:
     """Sideways with 1 m/s², the arm and 10 kg held: the mean of contact forces over half a second."""
     model, change = ROBOTS["swerve-ur10"], 1.0
     geometry, x, zero = model.base.geometry, model.home.copy(), np.zeros(4)
-    x[model.state["leg"]] = leg_angles(model, "H")
+    x[model.state["leg"]] = configuration_positions(model, "H")
     x[model.state["steer"]], _ = rolling_inverse_kinematics(geometry, zero, zero, np.array([0.0, 1.0, 0.0]))
     heading = geometry.wheel_heading + x[model.state["leg"]] + x[model.state["steer"]]
     plant = SwervePlant(model.description, model.state.split(x), AnyPerturbation.none(payload=10.0), 0)

@@ -343,7 +343,7 @@ def test_a_drive_before_the_run_is_announced_and_cannot_be_pushed() -> None:
                 for k in range(40):
                     tick(0.01 * k, SwerveCommand.stop())
                     plant.step(SwerveCommand.stop(), 20)
-            pushed.append(view.steered)
+            pushed.append(view.commanded)
         assert pushed == [False, True]
     finally:
         view.close()

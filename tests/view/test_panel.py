@@ -213,7 +213,7 @@ def test_a_drive_before_the_run_says_how_the_legs_stand() -> None:
                 plant.step(still, 20)
             controls = view._controls(None, robot, (), pushes=False)
             value = dict(zip(NUMBERS, view.shown.read().values["numbers"], strict=True))
-        assert "legs: X" in status_text(value, controls.configurations) and not controls.brakes
+        assert "configuration: X" in status_text(value, controls.configurations) and not controls.brakes
         assert view.process.is_alive()
     finally:
         view.close()

@@ -11,10 +11,10 @@ import pytest
 from wbmpc import lie
 from wbmpc.model.robot import load_robot
 from wbmpc.robots import load_description
-from wbmpc.stability import leg_angles
+from wbmpc.stability import configuration_positions
 from wbmpc.view.actuator_load import SHARES, Loads
 from wbmpc.view.history import POINTS, SAMPLES, SPAN, History, Trail
-from wbmpc.view.leg_configuration import LegConfiguration, configuration_text
+from wbmpc.view.named_configuration import NamedConfiguration, configuration_text
 from wbmpc.view.snapshot import TRAIL, errors, status_text
 from wbmpc.view.user_commands import Controls
 
@@ -106,16 +106,16 @@ def test_the_configuration_of_legs_is_named(name: str) -> None:
     """Truth: the angles that a configuration asks for."""
     robot = load_robot("swerve-ur10")
     joints = [*robot.state.groups["wheel"], *robot.state.groups["leg"]]
-    legs = LegConfiguration(robot, joints)
-    positions = np.concatenate([np.full(4, 7.0), leg_angles(robot, name)])
-    assert configuration_text(legs.number(positions), NAMES) == f"legs: {name}"
-    assert f"legs: {name}" in status_text(
+    legs = NamedConfiguration(robot, joints)
+    positions = np.concatenate([np.full(4, 7.0), configuration_positions(robot, name)])
+    assert configuration_text(legs.number(positions), NAMES) == f"configuration: {name}"
+    assert f"configuration: {name}" in status_text(
         {"error": np.nan, "margin": np.nan, "triangle_margin": np.nan, "configuration": legs.number(positions)}, NAMES
     )
     positions[5] += 0.2
-    assert configuration_text(legs.number(positions), NAMES) == "legs: between configurations"
+    assert configuration_text(legs.number(positions), NAMES) == "between configurations"
     arm = load_robot("panda")
-    assert configuration_text(LegConfiguration(arm, list(arm.state.groups["arm"])).number(arm.home), NAMES) == ""
+    assert configuration_text(NamedConfiguration(arm, list(arm.state.groups["arm"])).number(arm.home), NAMES) == ""
 
 
 def test_a_replays_plots_keep_peaks_and_mark_the_moment() -> None:

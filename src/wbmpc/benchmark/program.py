@@ -62,7 +62,7 @@ def sampled(solver: Solver, t0: float = 0.0) -> Samples:
     """What the solver's references and modes are at the nodes of a horizon that starts at ``t0`` [s]."""
     from wbmpc.solver.receding import sample
 
-    t, grid, tables = solver.problem, solver.trajectory().grid, solver._current_tables()
+    t, grid, tables = solver.problem, solver.trajectory().grid, solver.data.tables()
     width = max(t.node.size, 1)
     flat = np.zeros(grid.size * width)
     for k, time in enumerate(grid):

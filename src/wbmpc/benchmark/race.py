@@ -59,7 +59,7 @@ def several_iterations(problem: Problem, iterations: int, repeat: int = 5) -> tu
     def solve() -> None:
         few.warm_start(problem.x0, problem.u0)
         few.reset()
-        few._run(problem.x0)
+        few.iterate(problem.x0)
 
     times = milliseconds(solve, repeat)
     found = few.trajectory()
@@ -74,13 +74,13 @@ def ours(problem: Problem, repeat: int) -> tuple[np.ndarray, np.ndarray, dict[st
         solver.warm_start(problem.x0, problem.u0)
         solver.reset()
         start = time.process_time()
-        solver._run(problem.x0)
+        solver.iterate(problem.x0)
         total = min(total, time.process_time() - start)
     solver.warm_start(problem.x0, problem.u0)
     solver.reset()
     solution = solver.solve(problem.x0)
     single = single_iteration(solver, solution.x, solution.u)
-    times = milliseconds(lambda: single._run(problem.x0), repeat)
+    times = milliseconds(lambda: single.iterate(problem.x0), repeat)
     return solution.x, solution.u, {
         "success": solution.status.name == "CONVERGED",
         "iterations": solution.iterations,
@@ -149,7 +149,7 @@ def _milliseconds(solver: Solver, x0: np.ndarray) -> float:
         times = []
         for _ in range(25):
             start = time.process_time()
-            solver._run(x0)
+            solver.iterate(x0)
             times.append(time.process_time() - start)
         medians.append(float(np.median(times)))
     return 1e3 * min(medians)
@@ -161,7 +161,7 @@ def _without_limits(problem: Problem, settings: SQP) -> Solver:
     for term in solver_of_problem.ocp.inequalities:
         del solver_of_problem.ocp.terms[term.name]
     solver = Solver(solver_of_problem.ocp, settings)
-    solver.references, solver.schedule = solver_of_problem.references, solver_of_problem.schedule
+    solver.data.references, solver.data.schedule = solver_of_problem.data.references, solver_of_problem.schedule
     start = solver_of_problem.trajectory(copy=False)
     solver.warm_start(start.x, start.u)
     return solver

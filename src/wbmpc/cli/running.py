@@ -137,7 +137,7 @@ def _attempt(
             except RunAborted as error:
                 result = RunResult.aborted(name, seed, str(error), plain)
             with interrupt_noted() as pressed:  # now it waits for the files; once more, and it acts at once
-                if view is not None and view.steered:
+                if view is not None and view.commanded:
                     result.idealizations = [*result.idealizations, STEERED]
                 result.command = command
                 recorder.close(outcome(result))

@@ -229,7 +229,7 @@ def _tables(mpc: MPC, samples: int, modes: list[Mode]) -> Tables:
     """Tables of references and modes as :func:`make_tables` makes them, with room for more. References that are not set are zero,
     as their parameters then are in the solver's memory."""
     solver, room = mpc.solver, {}
-    solver._current_tables()  # raises where a reference that is needed is not set
+    solver.data.tables()  # raises where a reference that is needed is not set
     for name, part in solver.problem.references.slices.items():
         capacity = _capacity(mpc, name, samples)
         room[name] = Reference(np.zeros(capacity), np.zeros((capacity, part.stop - part.start)))

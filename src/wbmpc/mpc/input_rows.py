@@ -33,7 +33,7 @@ class InputRows:
         """See :meth:`wbmpc.mpc.mpc.MPC.input_rows`; ``t`` [s]: where the plan begins."""
         if not self.limits.offset.size:
             return None, None
-        tables = self._solver._current_tables()
+        tables = self._solver.data.tables()
         if self._step is None or tables is not self._tables:
             self._step, self._tables = self._bound(tables), tables
         np.add(self._solver.trajectory(copy=False).grid, t, out=self._times)

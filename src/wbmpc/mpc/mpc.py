@@ -274,7 +274,7 @@ class MPC(Described):
                 self.path.refresh(t, delta if k == 0 else 0.0)
             if self._clear.active:
                 self._clear.refresh(t, delta if k == 0 else 0.0)
-            status, count = self.solver._run(x0, t, delta if k == 0 else 0.0)
+            status, count = self.solver.iterate(x0, t, delta if k == 0 else 0.0)
             self._iterations += count
             elapsed = time.perf_counter() - start
             self.path.begun()
@@ -383,7 +383,7 @@ class MPC(Described):
         self.statistics.failures += 1
         last = self._policy
         if last is None:
-            found = self.solver._certified(*self._outcome)
+            found = self.solver.certified_solution(*self._outcome)
             if self._plan_check.broken(self._outcome[0]):
                 self._restart(observation)
             detail = f" ({found.detail})" if found.detail else ""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import mujoco
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from wbmpc.arrays import Array
 from wbmpc.bases import base_type
@@ -70,19 +70,19 @@ class Perturbation(BaseModel):
     def of(cls, given: Perturbation | None, description: RobotDescription) -> Self:
         """``given`` (None: the defaults) as this model, of the plant of a described robot, has it.
 
-        Raises :class:`InputError` for the first setting that is given, neither its default nor 0, and that this model does not have.
+        Raises :class:`InputError` naming settings that are given, neither their default nor 0, and that this model does not have.
         """
         if given is None or type(given) is cls:
             return given or cls()
-        usual = {name: info.default for name, info in type(given).model_fields.items()}
-        changed = {name: getattr(given, name) for name in usual if getattr(given, name) != usual[name]}
-        for name, value in changed.items():
-            if name not in cls.model_fields and value != 0:
-                raise InputError(
-                    f"plant.{name}: the simulated robot '{description.name}' (base type '{description.base.type}') does not read it; "
-                    f"valid: {', '.join(sorted(cls.model_fields))}"
-                )
-        return cls(**{name: value for name, value in changed.items() if name in cls.model_fields})
+        changed = {n: v for n, v in given.model_dump(exclude_defaults=True).items() if v != 0 or n in cls.model_fields}
+        try:
+            return cls.model_validate(changed)
+        except ValidationError as error:
+            unknown = ", ".join(f"plant.{fault['loc'][0]}" for fault in error.errors())
+            raise InputError(
+                f"{unknown}: the simulated robot '{description.name}' (base type '{description.base.type}') does not read it; "
+                f"valid: {', '.join(sorted(cls.model_fields))}"
+            ) from error
 
     @classmethod
     def none(cls, **changes: Any) -> Self:

@@ -36,7 +36,7 @@ def events_without_node(solver: Solver, t0: float) -> int:
     """See :meth:`Solver.events_without_node`."""
     if not solver.ocp.align_events:
         return len(lost_jumps(solver, t0)) if solver.problem.jumps else 0
-    numbers, integers, *_ = solver._current_tables()
+    numbers, integers, *_ = solver.data.tables()
     t = np.unique(numbers[: integers[1]]) - t0
     inside = int(np.sum((t > 1e-6) & (t < solver.ocp.horizon - 1e-6)))
     return max(inside - (solver.ocp.intervals - 1), 0)

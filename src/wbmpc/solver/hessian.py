@@ -65,12 +65,12 @@ class HessianSwitch:
             self._use([kernel.address(name) for name in SECOND], False)
 
     def run(self, x0: np.ndarray, t0: float) -> tuple[int, int]:
-        """As :meth:`Solver._run`; where Gauss-Newton stalls, the exact Hessian is compiled and the solve goes on with it."""
+        """As :meth:`Solver.iterate`; where Gauss-Newton stalls, the exact Hessian is compiled and the solve goes on with it."""
         from wbmpc.solver.driver import iterate
         from wbmpc.solver.termination import STALLED
 
         solver = self._solver
-        status, count = solver._run(x0, t0)
+        status, count = solver.iterate(x0, t0)
         if status != STALLED:
             return status, count
         exact = self._compile()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import math
 import time
@@ -11,24 +10,22 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from operator import is_
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from wbmpc.checks import absolute_time, not_negative, real_numbers
 from wbmpc.errors import InputError, SolveFailed, UnsupportedOperation, unknown_name
 from wbmpc.interrupts import Interruptible
-from wbmpc.model.numeric import Reentrant
 from wbmpc.ocp import ModeSchedule, OptimalControlProblem, Reference, Transcription
-from wbmpc.ocp.parameters import check_schedule, mode_tables
 from wbmpc.ocp.problem import check_problem
-from wbmpc.ocp.schedule import DEFAULT
 from wbmpc.ocp.terms import Weight
 from wbmpc.solver.certificate import Checks
 from wbmpc.solver.diagnostics import diagnose
 from wbmpc.solver.events import check_events, events_without_node
 from wbmpc.solver.guards import Exclusive
 from wbmpc.solver.hessian import HessianSwitch, exact_from_start
+from wbmpc.solver.horizon_data import HorizonData
 from wbmpc.solver.memory_layout import SETTINGS, StateField
 from wbmpc.solver.results import SolverResults
 from wbmpc.solver.settings import SLQ, SQP, check_settings_type
@@ -40,7 +37,7 @@ from wbmpc.solver.workspace import LOG
 
 if TYPE_CHECKING:
     from wbmpc.kernel import Kernel
-    from wbmpc.solver.receding import Tables
+    from wbmpc.solver.backends import Backend
 
 _LOG = logging.getLogger("wbmpc")
 _STATUS = (
@@ -79,26 +76,15 @@ class Solver(SolverResults):
         self._given_grid = self.ocp.grid
         if isinstance(self.settings, SLQ):
             self.ocp = self.ocp.refined(self.settings.step)
-        from wbmpc.solver.reference_solver import InterpretedSolver
-        from wbmpc.solver.workspace import make_workspace
-
         self.problem = Transcription(self.ocp, exact_from_start(self.ocp, self.settings))
         self._terms = tuple(self.ocp.terms.values())
         self.kernel = self._build()
-        if self.kernel is not None:
-            self.ws: Any = make_workspace(self.kernel, self.problem)
-        else:
-            self.twin = InterpretedSolver(self.problem)
-            self.ws = self.twin.ws
-        self.references: dict[str, Reference] = {}
-        self.schedule = DEFAULT
-        self._tables: Tables | None = None
-        self._changes = 0  # of references and schedule
+        self.data = HorizonData(self.problem, self.exclusive)
         self.log = np.zeros((self.settings.max_iterations, len(LOG)))
         self.numbers = self.settings.numbers()
+        self._backend = self._make_backend()
+        self.ws, self.x0 = self._backend.ws, self._backend.x0
         self.hessian = HessianSwitch(self)
-        if self.kernel is not None:
-            self._bind()
 
     def _build(self) -> Kernel | None:
         """The machine code; None for the interpreted twin, which also steps in for operations that cannot be compiled."""
@@ -117,43 +103,31 @@ class Solver(SolverResults):
             self.settings = replace(self.settings, backend="interpreted")
             return None
 
+    def _make_backend(self) -> Backend:
+        from wbmpc.solver.backends import Compiled, Interpreted
+
+        if self.kernel is None:
+            return Interpreted(self.problem, self.settings, self.log)
+        return Compiled(self.kernel, self.problem, self.numbers, self.log)
+
     # ------------------------------------------------------------------ data
+    @property
+    def references(self) -> Mapping[str, Reference]:
+        """The references that are set, by the names of their terms."""
+        return self.data.references
+
+    @property
+    def schedule(self) -> ModeSchedule:
+        """The modes over absolute time."""
+        return self.data.schedule
+
     def set_reference(self, name: str, reference: Reference) -> None:
         """Set the reference of the term ``name``."""
-        slices = self.problem.references.slices
-        if name not in slices:
-            if name in self.ocp.terms:
-                raise InputError(
-                    f"reference '{name}': its term compares with none; valid: {', '.join(slices) or 'none'}, "
-                    "or a residual with reference=… (wb.residuals.Expression: how many numbers)"
-                )
-            raise unknown_name("reference", name, slices)
-        width = slices[name].stop - slices[name].start
-        if not isinstance(reference, Reference):
-            raise InputError(
-                f"reference '{name}': a Reference is needed, such as Reference.constant(…), got {str(reference)[:80]!r}"
-            )
-        if (given := reference.values.shape[1]) != width:
-            raise InputError(f"reference '{name}': {width} numbers per sample are needed, got {given}")
-        with self.exclusive:
-            previous, tables = self.references.get(name), self._tables
-            self.references[name] = reference
-            self._changes += 1
-            if tables is None:
-                return
-            if previous is None or (previous.values.shape, previous.kind) != (reference.values.shape, reference.kind):
-                self._tables = None
-                return
-            from wbmpc.solver.receding import overwrite
-
-            overwrite(tables, [n for n in slices if n in self.references].index(name), reference)
+        self.data.set_reference(name, reference)
 
     def set_schedule(self, schedule: ModeSchedule) -> None:
         """Set the modes over absolute time."""
-        mode_tables(self.problem, schedule)
-        check_schedule(self.problem, schedule)
-        with self.exclusive:
-            self.schedule, self._tables, self._changes = schedule, None, self._changes + 1
+        self.data.set_schedule(schedule)
 
     def set_weight(self, name: str, weight: Weight, at: Literal["path", "terminal"] = "path") -> None:
         """Change a cost's weight (one number, one per row, or by the residual's groups) without compiling."""
@@ -205,54 +179,23 @@ class Solver(SolverResults):
     def reset(self) -> None:
         """Discard slacks and multipliers: the next solve initializes them (a warm start changes the trajectories alone)."""
         with self.exclusive.between("Solver.reset"):
-            self._forget()
-
-    def _forget(self) -> None:
-        if self.settings.backend == "interpreted":
-            return self.twin.reset()
-        from wbmpc.solver.receding import forget
-
-        return forget(self.ws.memory, self.ws.table)
+            self._backend.reset()
 
     def node_times(self, t0: float) -> np.ndarray:
         """Times (N + 1) [s] of the nodes of a solve that starts at ``t0`` [s], from its start: events move them (``align_events``)."""
         from wbmpc.solver.receding import node_times
 
-        return node_times(self.ocp.grid, self.ocp.align_events, self._current_tables(), t0)
-
-    def _current_tables(self) -> Tables:
-        """References and modes as the compiled code reads them."""
-        while (tables := self._tables) is None:
-            from wbmpc.solver.receding import make_tables
-
-            for name, term in self.ocp.terms.items():
-                if getattr(term.residual, "reference_required", False) and name not in self.references:
-                    raise InputError(f"term '{name}': its reference (a pose) is not set")
-            if self.schedule is DEFAULT:
-                check_schedule(self.problem, DEFAULT)
-            changes = self._changes
-            made = make_tables(self.problem, self.references, self.schedule)
-            if changes == self._changes:  # else a signal's handler has set what they do not have
-                self._tables = made
-        return tables
+        return node_times(self.ocp.grid, self.ocp.align_events, self.data.tables(), t0)
 
     # ------------------------------------------------------------------ solve
-    def _run(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
-        """Shift by ``delta`` [s], sample at ``t0`` [s], iterate in place from ``x0`` (nx): (status code, iterations). Compiles nothing."""
+    def iterate(self, x0: np.ndarray, t0: float = 0.0, delta: float = 0.0) -> tuple[int, int]:
+        """What a control loop calls: shift the last solution by ``delta`` [s], sample references and modes from ``t0`` [s] on, iterate in the
+        solver's memory from ``x0`` (nx), contiguous and finite, which is not checked. Returns a code for :meth:`status` and how many
+        iterations it took, for :meth:`solution`. Neither retries, certifies nor compiles, as :meth:`solve` does."""
         with self.exclusive:
             self._check_terms()
-            self.t0 = t0
-            if self.settings.backend == "interpreted":
-                self.x0 = x0
-                with Interruptible() as signals:
-                    return self.twin.run(self._current_tables(), t0, delta, x0, self.settings, self.log, signals.check)
-            self.x0[:] = x0
-            (numbers, integers), out = self._addresses.of(self._current_tables()), self._out
-            self._entry(
-                self._memory, self._table, numbers, integers, t0, delta, self._start, self._numbers, self._log,
-                self._results,
-            )  # fmt: skip
-            return out[0], out[1]
+            self.t0, self.x0[:] = t0, x0
+            return self._backend.run(self.data.tables(), t0, delta)
 
     def _check_terms(self) -> None:
         """Raise :class:`InputError` if the problem's terms are no longer those that the solver was made of."""
@@ -266,38 +209,15 @@ class Solver(SolverResults):
             " Solver or MPC"
         )
 
-    def _bind(self) -> None:
-        """Addresses of what every solve passes on: a call then costs microseconds."""
-        from wbmpc.solver.receding import TableAddresses, receding_solve
-        from wbmpc.solver.simulation import Simulation
-
-        self._entry, self._out = receding_solve.pointer, (ctypes.c_int64 * 2)()
-        self._addresses, self._results = TableAddresses(), ctypes.addressof(self._out)
-        own, nx, nu = {"m": self.ws.memory, "o": self.ws.table}, self.problem.nx, self.problem.nu
-        self._simulate = Reentrant(lambda: Simulation(own, nx, nu))
-        self.x0 = np.zeros(self.problem.nx)
-        arrays = (self.ws.memory, self.ws.table, self.x0, self.numbers, self.log)
-        self._memory, self._table, self._start, self._numbers, self._log = (a.ctypes.data for a in arrays)
-
     def simulate(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
         """State (nx) after h [s] from x (nx) under the input u (nu), with the solver's integrator and the present parameters; after k times h
         under inputs (k, nu), one after the other. Raises :class:`InputError` for other shapes or a step below 0, :class:`NotFinite`."""
         x, u, h = simulation_arguments(self.ocp.dynamics, x, u, h)
         rows, end = u if u.ndim == 2 else u[None], x
         for k in range(0, len(rows), SIMULATED):
-            end = self._advance(end, rows[k : k + SIMULATED], h)
+            with self.exclusive:
+                end = self._backend.simulate(end, rows[k : k + SIMULATED], h)
         return x.copy() if end is x else end
-
-    def _advance(self, x: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
-        """One call: inputs (k, nu), k up to :data:`SIMULATED`. States beyond all bounds are passed on as they are."""
-        if self.settings.backend == "interpreted":
-            with self.exclusive, Interruptible():
-                for row in u:
-                    x = self.twin.simulate(x, row, h)
-                return x
-        # dozens of times in a controller's tick: memory and addresses are kept
-        with self.exclusive:
-            return self._simulate(x, u, h)
 
     def solve(self, x0: np.ndarray, t0: float = 0.0, *, throw: bool = False) -> Solution:
         """Solve from the current guess for the initial state ``x0`` (nx,) at time ``t0`` [s].
@@ -329,7 +249,7 @@ class Solver(SolverResults):
         status, count = self.hessian.run(x0, t0)
         if start is not None and self.status(status) is not Status.CONVERGED:
             self.ws.x[:], self.ws.u[:] = start
-            self._forget()
+            self._backend.reset()
             status, count = self.hessian.run(x0, t0)
         return status, count
 
@@ -351,8 +271,8 @@ class Solver(SolverResults):
             raise InputError(f"initial state: '{self.ocp.dynamics.state.names[int(bad[0])]}' is not finite")
         return x0
 
-    def _certified(self, status: int, count: int, elapsed: float) -> Solution:
-        """The solution of the last :meth:`_run`, which took ``elapsed`` [s], with violations by name and the cause of a failure."""
+    def certified_solution(self, status: int, count: int, elapsed: float) -> Solution:
+        """The solution of the last :meth:`iterate`, which took ``elapsed`` [s], with violations by name and the cause of a failure."""
         with self.exclusive, Interruptible():
             return diagnose(self, self.solution(status, count, elapsed))
 
@@ -370,11 +290,11 @@ class Solver(SolverResults):
 
     @staticmethod
     def status(code: int) -> Status:
-        """What a status code of :meth:`_run` means."""
+        """What a status code of :meth:`iterate` means."""
         return _STATUS[code]
 
     def solution(self, status: int, count: int, elapsed: float) -> Solution:
-        """The solution of the last :meth:`_run`, which took ``elapsed`` [s]."""
+        """The solution of the last :meth:`iterate`, which took ``elapsed`` [s]."""
         row = self.log[count - 1]
         return Solution(
             status=self.status(status),

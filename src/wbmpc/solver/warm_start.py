@@ -33,7 +33,7 @@ def restart_from(solver: Solver, x: np.ndarray, u: np.ndarray | None = None) -> 
     """:meth:`Solver.warm_start` and :meth:`Solver.reset`, likewise."""
     with solver.exclusive:
         start_from(solver, x, u)
-        solver._forget()
+        solver._backend.reset()
 
 
 def trajectories(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from wbmpc.arrays import Array
 from wbmpc.errors import InputError
 from wbmpc.model.robot import RobotModel
-from wbmpc.stability.configurations import leg_angles, leg_group, reject_beyond
+from wbmpc.stability.configurations import configuration_positions, leg_group, reject_beyond
 from wbmpc.stability.geometry import Region, area, overlap_regions, region_margin, support_polygon
 from wbmpc.stability.robot import Stance, StanceOf, standing
 from wbmpc.stability.zmp import GRAVITY
@@ -139,7 +139,7 @@ def assess(
     steered, x = standing(robot).steered, robot.home.copy()
     name = "home"
     if configuration is not None:
-        angles = leg_angles(robot, configuration)
+        angles = configuration_positions(robot, configuration)
         assert steered is not None  # what has leg angles has legs
         x = steered.with_legs(x, angles)
         name = configuration.upper() if isinstance(configuration, str) and len(configuration) == 1 else "angles"

@@ -21,7 +21,7 @@ def configurations(robot: RobotModel) -> Mapping[str, NDArray[np.float64]]:
     return base_type(robot.description.base.type).configurations(robot)
 
 
-def leg_angles(robot: RobotModel, configuration: str | Sequence[float]) -> NDArray[np.float64]:
+def configuration_positions(robot: RobotModel, configuration: str | Sequence[float]) -> NDArray[np.float64]:
     """Leg angles (n) [rad] of a configuration by name (:func:`configurations`), or of n joint angles given as numbers or as
     "0.1,0,-0.2,0".
 

@@ -17,7 +17,7 @@ from wbmpc.ocp import Reference
 from wbmpc.result import Metric, Plot, Series
 from wbmpc.robots.examples import EXAMPLES
 from wbmpc.settings import Positive, Robot, Stability, SupportMarginSettings, WheelLoadSettings
-from wbmpc.stability import StanceOf, configurations, leg_angles, standing
+from wbmpc.stability import StanceOf, configuration_positions, configurations, standing
 from wbmpc.tasks.definitions import DEFINITIONS
 from wbmpc.tasks.loop import Hooks, closed_loop
 from wbmpc.tasks.path_settings import Line, follow, timed
@@ -58,7 +58,7 @@ def reaching(robot: RobotModel, direction: float, legs: str, rolling: float | No
     steered = standing(robot).steered
     legs = next(iter(configurations(robot)), "home") if legs == "first" else legs
     if legs != "home" and steered is not None and steered.leg_group:
-        x = steered.with_legs(x, leg_angles(robot, legs))
+        x = steered.with_legs(x, configuration_positions(robot, legs))
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     if steered is not None:
         towards = direction if rolling is None else rolling

@@ -13,7 +13,7 @@ from wbmpc.control.protocols import RobotController
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.simulation.lockstep import Running
-from wbmpc.stability import configurations, leg_angles
+from wbmpc.stability import configuration_positions, configurations
 from wbmpc.view import bounds
 
 #: Joints are where they should be within this [rad]; then their brakes close.
@@ -58,7 +58,7 @@ class BrakedJoints:
         """Go to a configuration by its place among the robot's; :class:`InputError` if there is none, or joints do not reach it."""
         robot = self._controller.robot
         names = list(configurations(robot))
-        self._move(leg_angles(robot, names[bounds.choice("configuration", number, len(names))]))
+        self._move(configuration_positions(robot, names[bounds.choice("configuration", number, len(names))]))
 
     def _move(self, angles: Array) -> None:
         """To ``angles`` (n) [rad] from now on; a base that is on its way goes on along its path."""

@@ -25,7 +25,7 @@ from wbmpc.view import bounds
 from wbmpc.view.actuator_load import Loads
 from wbmpc.view.core import LiveView, followed, numbers, solved
 from wbmpc.view.history import Factor, Trail
-from wbmpc.view.leg_configuration import LegConfiguration
+from wbmpc.view.named_configuration import NamedConfiguration
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import PLAN, REFERENCE, TRAIL, fields, filled, ground
 from wbmpc.view.user_commands import UserCommands, no_requests, planar, spatial
@@ -39,7 +39,7 @@ _KEPT = 100_000
 class View(LiveView):
     """A :class:`~wbmpc.simulation.lockstep.Watcher` that shows a run at ``url`` and paces it to the clock.
 
-    ``wants_reset``: whether the run ended in order to restart; ``ended``: whether the user ended it; ``steered``: whether
+    ``wants_reset``: whether the run ended in order to restart; ``ended``: whether the user ended it; ``commanded``: whether
     its goals, weights, brakes or forces were changed.
     ``live``: it also shows what drives before the run, which nobody can steer: its calibration is kept.
     ``opened(url)`` is called once the server answers; no browser is waited for. Times in s.
@@ -53,7 +53,7 @@ class View(LiveView):
     ) -> None:  # fmt: skip
         super().__init__(title, host, port, opened, with_token)
         self._shown: tuple[Scene, bool] | None = None
-        self.steered, self._factor, self._trail = False, Factor(), Trail()
+        self.commanded, self._factor, self._trail = False, Factor(), Trail()
         self._ticks, self._late_ticks, self._period = 0, 0, np.inf
         #: Seconds that watching took at each tick, and by how much ticks began late while nothing was paused: the last ones.
         self.own_time: deque[float] = deque(maxlen=_KEPT)
@@ -75,14 +75,14 @@ class View(LiveView):
     def restart(self) -> None:
         """What comes is another run. Those before are in reference cycles, of many bytes in few objects: Python itself would look for them
         once in dozens of runs."""
-        self.wants_reset = self.steered = False
+        self.wants_reset = self.commanded = False
         gc.collect()
 
     @property
     def factors(self) -> dict[str, float]:
         """By which the sliders multiply the weights of costs, by cost: those of this run that are not 1."""
-        steering = getattr(self, "_steering", None)
-        return {} if steering is None else steering.factors
+        commands = getattr(self, "_commands", None)
+        return {} if commands is None else commands.factors
 
     # ------------------------------------------------------------------ the loop
     def begin(self, running: Running) -> None:
@@ -101,9 +101,11 @@ class View(LiveView):
         name = f"{running.name} ({running.duration:.0f} s)" if self._before else running.name
         self.show_message(", ".join(text for text in (name, self._previous) if text))
         self._loads = self._loads_of(running)
-        self._legs = LegConfiguration(getattr(running.controller, "robot", None), self._observer.reader.joint_names)
-        self._steering = UserCommands(running, self._observer.lift, self.reject)
-        self._steering.skip(self._requests)
+        self._configuration = NamedConfiguration(
+            getattr(running.controller, "robot", None), self._observer.reader.joint_names
+        )
+        self._commands = UserCommands(running, self._observer.lift, self.reject)
+        self._commands.skip(self._requests)
         self._expect()
         self._steps = int(self._requests["steps"])
         self._drift = np.array([0.0, 0, 0, 1, 0, 0, 0])
@@ -114,7 +116,7 @@ class View(LiveView):
         """Pictures and commands; then wait until it is time."""
         start = time.perf_counter()
         self._take_requests()
-        self._steer(t)
+        self._apply_commands(t)
         if start >= self._next:
             self._next = start + 1.0 / RATE
             self.shown.write(**self._snapshot(t, plans))
@@ -164,7 +166,7 @@ class View(LiveView):
                 return
             time.sleep(0.02)
             self._take_requests()
-            self._steer(t)
+            self._apply_commands(t)
             self.shown.write(**self._snapshot(t, plans))
         self._steps += int(self._requests["steps"]) != self._steps  # each of several clicks is a step
 
@@ -184,11 +186,11 @@ class View(LiveView):
             self.wants_reset = True
             raise EndedByUser("restarted in the view")
 
-    def _steer(self, t: float) -> None:
+    def _apply_commands(self, t: float) -> None:
         if self._before:
             return
-        self._steering.apply(t, self._requests, self._drift)
-        self.steered = self.steered or self._steering.used
+        self._commands.apply(t, self._requests, self._drift)
+        self.commanded = self.commanded or self._commands.used
 
     # ------------------------------------------------------------------ pictures
     def _snapshot(self, t: float, plans: PolicyQueue) -> dict[str, Array]:
@@ -204,12 +206,12 @@ class View(LiveView):
             "t": t, **solved(mpc), **{name: on_floor.pop(name) for name in ("margin", "triangle_margin")},
             **self._loads.shares(joints[:, 1], data.actuator_force), "late": np.nan,
             "factor": self._factor.add(time.perf_counter(), t), "ticks": self._ticks, "late_ticks": self._late_ticks,
-            "configuration": self._legs.number(joints[:, 0]),
+            "configuration": self._configuration.number(joints[:, 0]),
         }  # fmt: skip
         return {
             "numbers": numbers(moment.end_effector, goal, moment.base, base_goal, others), "poses": moment.bodies, "goal": goal,
-            "base_goal": base_goal, "brakes": np.array(self._steering.brakes_open(t)),
-            "obstacle": self._steering.obstacle(self._drift),
+            "base_goal": base_goal, "brakes": np.array(self._commands.brakes_open(t)),
+            "obstacle": self._commands.obstacle(self._drift),
             "trail": filled(self._trail.add(moment.end_effector[:3]), (TRAIL, 3)), **self._paths(target.way, plans), **on_floor,
         }  # fmt: skip
 

@@ -29,7 +29,7 @@ from wbmpc.solver import Trajectory
 from wbmpc.view.actuator_load import DRIVES, SHARES, Loads
 from wbmpc.view.core import LiveView, followed, numbers, solved
 from wbmpc.view.history import Factor, Trail
-from wbmpc.view.leg_configuration import LegConfiguration
+from wbmpc.view.named_configuration import NamedConfiguration
 from wbmpc.view.process import RATE
 from wbmpc.view.snapshot import GROUND, PLAN, REFERENCE, TRAIL, filled
 from wbmpc.view.user_commands import UserCommands
@@ -93,21 +93,21 @@ class RealtimeView(LiveView):
         lift = np.array([0.0, 0.0, -self.robot.base.ground])
         stand_in = _Robot(controller, push)
         running: Any = Running(stand_in, stand_in, mpc, None, np.inf)  # type: ignore[arg-type]
-        steering = UserCommands(running, lift, self.reject)
-        steering.skip(self._requests)
+        commands = UserCommands(running, lift, self.reject)
+        commands.skip(self._requests)
         self._expect()
         previous, planned = mpc.guess, [-np.inf]
 
         def guess(t: float, x0: Array, trajectory: Trajectory) -> Trajectory | None:
             self._read_requests()
             stand_in.x = x0
-            steering.apply(t, self._requests, _HERE)
+            commands.apply(t, self._requests, _HERE)
             self.ended = self.ended or self._asked("ends")
             self.wants_reset = self._asked("resets")
             if t >= planned[0] + 1.0 / RATE:
                 planned[0] = t
                 self.shown.write(
-                    **_plan(mpc, t, lift), brakes=steering.brakes_open(t), obstacle=steering.obstacle(_HERE)
+                    **_plan(mpc, t, lift), brakes=commands.brakes_open(t), obstacle=commands.obstacle(_HERE)
                 )
             return None if previous is None else previous(t, x0, trajectory)
 
@@ -181,7 +181,7 @@ class Picture:
         self._ground: dict[str, Array] = {"base": _HERE, **{n: np.full(s, np.nan) for n, s in GROUND.items()}}
         self._ground |= {name: np.array(np.nan) for name in ("time", "clock")}
         self._factor, self._trail = Factor(), Trail()
-        self._legs = LegConfiguration(self.robot, self._reader.joint_names)
+        self._configuration = NamedConfiguration(self.robot, self._reader.joint_names)
         self._previous: tuple[float, Array] | None = None
         self._shares = dict.fromkeys(SHARES, np.nan)
 
@@ -206,7 +206,7 @@ class Picture:
             **{name: plan[name] for name in ("solve", "deadline", "clearance")}, **self._speeds(),
             **{name: self._ground[name] for name in ("margin", "triangle_margin")},
             "ticks": self._moment["ticks"], "late_ticks": self._moment["misses"],
-            "configuration": self._legs.number(self._reader.joint_states(self._plant.data)[:, 0]),
+            "configuration": self._configuration.number(self._reader.joint_states(self._plant.data)[:, 0]),
             "factor": self._factor.add(float(self._ground["clock"]), float(self._ground["time"])),
         }  # fmt: skip
         return {

@@ -12,7 +12,7 @@ from wbmpc import lie
 from wbmpc.arrays import Array
 from wbmpc.simulation.scene import Contact, Scene
 from wbmpc.view.actuator_load import SHARES
-from wbmpc.view.leg_configuration import configuration_text
+from wbmpc.view.named_configuration import configuration_text
 
 
 def hull(points: Array) -> Array:
@@ -70,7 +70,7 @@ ABOVE = 0.3
 #: those of :data:`~wbmpc.view.actuator_load.SHARES`: shares of limits; ``margin``, ``triangle_margin``: of the point of pressure inside the
 #: support polygon and the active triangle.
 #: ``late``: by how much a tick of a real-time run began late; ``factor``: the run's time over the clock's; ``late_ticks``: how many
-#: of the ``ticks`` were late; ``configuration``: of the legs, see :mod:`wbmpc.view.leg_configuration`; ``clearance``: least of the plan.
+#: of the ``ticks`` were late; ``configuration``: see :mod:`wbmpc.view.named_configuration`; ``clearance``: least of the plan.
 NUMBERS = (
     "t", "error", "turn", "base", "solve", "deadline", *SHARES, "margin", "triangle_margin", "late", "factor", "ticks",
     "late_ticks", "configuration", "clearance",
@@ -160,8 +160,8 @@ def status_text(numbers: Mapping[str, float], configurations: Sequence[str] = ()
     if np.isfinite(numbers.get("ticks", np.nan)):
         pace.append(f"{numbers['late_ticks']:.0f} of {numbers['ticks']:.0f} ticks late")
     lines += [", ".join(pace)] if pace else []
-    legs = configuration_text(numbers.get("configuration", np.nan), configurations)
-    lines += [legs] if legs else []
+    named = configuration_text(numbers.get("configuration", np.nan), configurations)
+    lines += [named] if named else []
     return "".join(f"  \n{line}" for line in lines)
 
 

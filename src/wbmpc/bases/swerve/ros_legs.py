@@ -24,7 +24,7 @@ from wbmpc.logs import RateLimit
 from wbmpc.model.robot import RobotModel
 from wbmpc.ros2.bus import DEFAULT, SMALL, Node
 from wbmpc.ros2.convert import error_message
-from wbmpc.stability import leg_angles
+from wbmpc.stability import configuration_positions
 
 _LOG = logging.getLogger("wbmpc")
 #: The service, of the package that docs/how-to/ros2.md shows: its type, its request and its answer.
@@ -121,7 +121,7 @@ class Legs:
         if configuration:
             if legs:
                 raise InputError("legs: either a configuration or single legs are needed, not both")
-            goal[:] = leg_angles(self.robot, configuration)
+            goal[:] = configuration_positions(self.robot, configuration)
         else:
             places = [self._place(name) for name in legs]
             angle, open_ = np.asarray(angles, float), np.asarray(opened, float)

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from wbmpc.experiment import Experiment, defined
 from wbmpc.log import Log
-from wbmpc.result import Metric, RunResult
+from wbmpc.result import Metric, Plot, RunResult, Series
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.minniti2019.controller_settings import HELD_MPC, HeldController
 from wbmpc.studies.minniti2019.definitions import DEFINITIONS
@@ -62,6 +62,8 @@ def largest(passes: Callable[[float], bool], resolution: float) -> float:
 def run(name: str, settings: HandLimitSettings, seed: int, progress: Progress | None = None) -> RunResult:
     """All pushes of a bisection."""
     tried: list[Outcome] = []
+    impulses: list[float] = []
+    passed: list[bool] = []
     maximum = np.log2(MAXIMUM / settings.resolution) + 2.0
     force = lambda impulse: impulse / settings.push_duration
 
@@ -70,25 +72,28 @@ def run(name: str, settings: HandLimitSettings, seed: int, progress: Progress | 
         tried.append(push_once(settings, seed, force(impulse), angle, settings.push_duration))
         if progress is not None:
             progress(min(len(tried) / maximum, 1.0), f"{impulse:.0f} N s")
-        return bool(getattr(tried[-1], settings.criterion))
+        impulses.append(impulse)
+        passed.append(bool(getattr(tried[-1], settings.criterion)))
+        return passed[-1]
 
     impulse = largest(passes, settings.resolution)
     travel = max((o.travel for o in tried if o.recovers), default=0.0)
     metrics = {
         "impulse_max": Metric(impulse, "N s"), "ball_travel_max": Metric(travel, "m"), "pushes": Metric(float(len(tried)), "1"),
     }  # fmt: skip
+    found = defined(name, metrics, DEFINITIONS[name])
+    plots = [_plot(np.array(impulses), np.array(passed), settings.criterion)]
     plain = settings.model_dump(mode="json")
-    return RunResult(
-        name,
-        seed,
-        True,
-        "",
-        defined(name, metrics, DEFINITIONS[name]),
-        None,
-        Log(),
-        idealizations=IDEALIZATIONS,
-        settings=plain,
-    )
+    return RunResult(name, seed, True, "", found, None, Log(), plots, idealizations=IDEALIZATIONS, settings=plain)
+
+
+def _plot(impulses: np.ndarray, passed: np.ndarray, criterion: str) -> Plot:
+    """The impulses [N s] tried, one after the other, and what the bisection knew after each."""
+    number = np.arange(1.0, len(impulses) + 1.0)
+    largest_passed = np.maximum.accumulate(np.where(passed, impulses, 0.0))
+    smallest_failed = np.minimum.accumulate(np.where(passed, np.inf, impulses))
+    lines = {"tried": impulses, f"robot {criterion}": largest_passed, "robot does not": smallest_failed}
+    return Plot("Impulses tried", "push", "impulse [N s]", [Series(n, number, y) for n, y in lines.items()])
 
 
 def _experiment(kind: type[HandLimitSettings]) -> Experiment:

@@ -21,7 +21,7 @@ from wbmpc.model.robot import RobotModel
 from wbmpc.settings import ControlSettings, Robot, Settings
 from wbmpc.simulation.contacts import GROUND
 from wbmpc.simulation.lockstep import Progress, watched
-from wbmpc.stability import assess, leg_angles
+from wbmpc.stability import assess, configuration_positions
 from wbmpc.studies.pankert2022.rolling import RollingController
 
 #: Push [N] and its length [s] (Fig. 4).
@@ -83,7 +83,7 @@ class Bench:
 def reject(robot: RobotModel) -> None:
     """What this robot cannot do is said before the first test (:class:`InputError`)."""
     for name in CONFIGURATIONS:
-        leg_angles(robot, name)
+        configuration_positions(robot, name)
     assess(robot, "X", arm=_reached_back(robot))
 
 
@@ -203,8 +203,8 @@ def fault(bench: Bench, kind: str | None, progress: Progress | None) -> Found:
     knocked. ``kind`` "closed": its brake never opens; "open": it does not close again; None: all is well.
     """
     robot = bench.robot
-    home, tried = leg_angles(robot, "X"), bench.left_front
-    outward = np.sign(home - leg_angles(robot, "H"))
+    home, tried = configuration_positions(robot, "X"), bench.left_front
+    outward = np.sign(home - configuration_positions(robot, "H"))
 
     def goals(t: float) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
         w = 2.0 * np.pi / SWING_PERIOD

@@ -12,7 +12,7 @@ from wbmpc.bases.swerve.defaults import EndEffectorCost, InputCost, StateCost, S
 from wbmpc.bases.swerve.plant import SwervePlant
 from wbmpc.model.robot import RobotModel
 from wbmpc.settings import Robot
-from wbmpc.stability import leg_angles
+from wbmpc.stability import configuration_positions
 from wbmpc.studies.pankert2022.driving import DrivingSettings
 from wbmpc.studies.pankert2022.mission import Leg, Mission, Reconfiguration
 
@@ -71,7 +71,7 @@ def tour_way() -> tuple[Leg, ...]:
 
 def tour(robot: RobotModel, delay: float) -> tuple[Mission, float]:
     """The whole way and its duration [s]: the door in H, X, then A and X again while turning by 180°, and H."""
-    h, x, a = (leg_angles(robot, name) for name in "HXA")
+    h, x, a = (configuration_positions(robot, name) for name in "HXA")
     # Brakes are open while legs turn, and closed where wheels have to turn round (the base turns faster than it drives): they would
     # swing the legs.
     turns = (
@@ -95,7 +95,7 @@ def folding(robot: RobotModel, home: np.ndarray) -> tuple[Reconfiguration, ...]:
 def straight(robot: RobotModel, name: str, is_open: bool) -> tuple[Mission, float]:
     """1.5 m ahead with a quarter turn of 0.3 rad in one configuration, brakes open or closed."""
     brakes = ((0.5, 1.0),) if is_open else ()
-    return Mission((Leg(1.0, 8.0, (1.5, 0.2, 0.3)),), leg_angles(robot, name), (), brakes), 10.0
+    return Mission((Leg(1.0, 8.0, (1.5, 0.2, 0.3)),), configuration_positions(robot, name), (), brakes), 10.0
 
 
 @dataclass

@@ -26,7 +26,7 @@ from wbmpc.log import Log
 from wbmpc.model.robot import RobotModel
 from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Constraint, Reference, RelaxedBarrier, residuals, sets
-from wbmpc.stability import StanceOf, leg_angles, region_margin, support_triangles
+from wbmpc.stability import StanceOf, configuration_positions, region_margin, support_triangles
 from wbmpc.stability.geometry import Triangle
 from wbmpc.studies.pankert2022.definitions import DEFINITIONS
 from wbmpc.studies.pankert2022.metrics import in_frame
@@ -67,7 +67,7 @@ def _start(robot: RobotModel, settings: SwerveUnifiedSettings) -> np.ndarray:
     """The state (nx) with the legs where they begin."""
     if settings.leg_start == AT_HOME:
         return robot.home
-    return at_home(robot, leg_angles(robot, settings.leg_start))
+    return at_home(robot, configuration_positions(robot, settings.leg_start))
 
 
 def _reconfigurations(robot: RobotModel, settings: SwerveUnifiedSettings, opens: float) -> tuple[Reconfiguration, ...]:
@@ -75,7 +75,7 @@ def _reconfigurations(robot: RobotModel, settings: SwerveUnifiedSettings, opens:
     if settings.legs.kind == "support":
         return ()
     try:
-        return (Reconfiguration(opens, leg_angles(robot, settings.legs.goal)),)
+        return (Reconfiguration(opens, configuration_positions(robot, settings.legs.goal)),)
     except InputError as error:
         legs = swerve_base(robot).geometry.modules
         raise InputError(
