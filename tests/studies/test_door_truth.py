@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from wbmpc.log import Log
-from wbmpc.ocp import Mode, ModeSchedule
+from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.solver.results import Trajectory
-from wbmpc.studies.minniti2019.door_control import FreeOfForce
+from wbmpc.studies.minniti2019.door_control import PossibleForce
 from wbmpc.studies.minniti2019.door_figures import Trial, trial_metrics
 from wbmpc.studies.minniti2019.door_filter import LeverFit
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
@@ -66,7 +66,7 @@ def test_the_lever_of_a_door_is_found_from_the_way_of_the_end_effector(lever: fl
 def test_a_solve_starts_without_force_where_the_end_effector_is_free() -> None:
     """By hand: free until 1.2 s, in contact up to 1.5 s, then free. A plan that fits is left as it is: its multipliers stay too."""
     free, moving = Mode("free"), Mode("moving")
-    guess = FreeOfForce()
+    guess = PossibleForce()
     guess.bind(SimpleNamespace(solver=SimpleNamespace(schedule=ModeSchedule((free, moving, free), (1.2, 1.5)))))  # type: ignore[arg-type]
     plan = Trajectory(1.0, np.linspace(0.0, 0.8, 9), np.zeros((9, 4)), np.ones((8, 5)))
     found = guess(1.0, np.zeros(4), plan)
