@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from wbmpc.log import Log
-from wbmpc.ocp import Mode, ModeSchedule
+from wbmpc.ocp import Mode, ModeSchedule, Reference
 from wbmpc.simulation.lockstep import Ending
 from wbmpc.solver.results import Trajectory
-from wbmpc.studies.minniti2019.door_control import FreeOfForce
+from wbmpc.studies.minniti2019.door_control import PossibleForce
 from wbmpc.studies.minniti2019.door_figures import Trial, trial_metrics
 from wbmpc.studies.minniti2019.door_filter import LeverFit
 from wbmpc.studies.minniti2019.door_settings import DOORS, RezeroDoorSettings
@@ -66,13 +66,30 @@ def test_the_lever_of_a_door_is_found_from_the_way_of_the_end_effector(lever: fl
 def test_a_solve_starts_without_force_where_the_end_effector_is_free() -> None:
     """By hand: free until 1.2 s, in contact up to 1.5 s, then free. A plan that fits is left as it is: its multipliers stay too."""
     free, moving = Mode("free"), Mode("moving")
-    guess = FreeOfForce()
+    guess = PossibleForce()
     guess.bind(SimpleNamespace(solver=SimpleNamespace(schedule=ModeSchedule((free, moving, free), (1.2, 1.5)))))  # type: ignore[arg-type]
     plan = Trajectory(1.0, np.linspace(0.0, 0.8, 9), np.zeros((9, 4)), np.ones((8, 5)))
     found = guess(1.0, np.zeros(4), plan)
     assert found is not None and np.all(found.u[:, :2] == 1.0)
     np.testing.assert_array_equal(found.u[:, 2:].any(axis=1), [False, True, True, True, False, False, False, False])
     assert guess(1.0, np.zeros(4), found) is None
+
+
+def test_a_solve_starts_within_the_friction_cone_of_the_panel_as_it_is_believed_to_stand() -> None:
+    """By hand: a panel along y that is pushed along x, and from 1.4 s on one that has turned by a right angle; μ = 0.5."""
+    guess, moving = PossibleForce(0.5), Mode("moving")
+    normals = np.array([[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5]])
+    cone = Reference(np.array([1.0, 1.4]), normals, "hold")
+    guess.bind(SimpleNamespace(solver=SimpleNamespace(schedule=ModeSchedule((moving,), ())), reference={"cone": cone}))  # type: ignore[arg-type]
+    plan = Trajectory(1.0, np.linspace(0.0, 0.8, 9), np.zeros((9, 4)), np.tile([7.0, 7.0, -10.0, 2.0, -1.0], (8, 1)))
+    found = guess(1.0, np.zeros(4), plan)
+    assert found is not None and np.all(found.u[:, :2] == 7.0)
+    for k, force in enumerate(found.u[:, 2:]):
+        push, across = (-force[0], force[1]) if k < 4 else (-force[1], force[0])
+        assert push == pytest.approx(10.0 if k < 4 else 0.6)  # as much as there was, or the least and some more
+        assert max(abs(across), abs(force[2])) < 0.5 / np.sqrt(2.0) * push
+    np.testing.assert_allclose(found.u[:4, 3:], [[2.0, -1.0]] * 4)
+    assert guess(1.0, np.zeros(4), found) is None  # one that fits is left as it is
 
 
 def test_doors_are_drawn_about_their_kind_and_reach_beyond_the_end_effector() -> None:

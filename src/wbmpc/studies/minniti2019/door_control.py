@@ -37,14 +37,21 @@ FAR = 5.0
 FIRST, UNPLANNED = 4.0, 0.1
 #: A planned force [N] that is none.
 NO_FORCE = 1e-3
+#: Solves start with a push so far [N] from its least, and with so much of what friction holds.
+ROOM, WITHIN = 0.1, 0.95
 #: Points of the references over the horizon.
 POINTS = 27
 
 
-class FreeOfForce:
-    """Where solves start from when modes have changed (:class:`wbmpc.mpc.guess.Guess`): where the end effector is free now, the force of the
-    last plan is gone. What an equality fixes would else keep a share of what it was until a full step is taken, and plans are
-    rejected meanwhile."""
+class PossibleForce:
+    """Where solves start from (:class:`wbmpc.mpc.guess.Guess`): with no force where the end effector is free now, and elsewhere with the last
+    plan's, brought into the friction cone of the panel as it is believed to stand now. What an equality or a hard limit fixes would
+    else keep a share of what it was until a full step is taken, and plans are rejected meanwhile: a light door, whose plan turns
+    away from one solve to the next, left the robot without a plan until it fell. ``least`` [N]: push within the cone (None: there is
+    no cone)."""
+
+    def __init__(self, least: float | None = None) -> None:
+        self._least = least
 
     def bind(self, mpc: MPC) -> None:
         self._mpc = mpc
@@ -54,10 +61,26 @@ class FreeOfForce:
         ends = np.maximum(trajectory.times[1:], t)
         free = np.array([schedule.modes[i].name == "free" for i in np.searchsorted(schedule.events, ends, "right")])
         forces = trajectory.u[:, -3:]
-        if not np.any(np.abs(forces[free]) > NO_FORCE):
+        possible = np.where(free[:, None], 0.0, forces)
+        if self._least is not None and not free.all():
+            possible[~free] = self._within_cone(np.maximum(trajectory.times[:-1], t)[~free], forces[~free])
+        if not np.any(np.abs(possible - forces) > NO_FORCE):
             return None
-        forces[free] = 0.0
+        forces[:] = possible
         return trajectory
+
+    def _within_cone(self, times: Array, forces: Array) -> Array:
+        """The forces (n, 3) [N] of the world at ``times`` (n) [s], with as much push as they have, at least the least, and no more across it
+        than friction holds."""
+        assert self._least is not None
+        cone = np.array([self._mpc.reference["cone"].at(t) for t in times])
+        normals, friction = cone[:, :3], cone[:, 3]
+        push = np.maximum(-np.sum(forces * normals, axis=1), self._least + ROOM)
+        level = np.column_stack([-normals[:, 1], normals[:, 0]])
+        most = WITHIN * friction / np.sqrt(2.0) * push
+        side = np.clip(-np.sum(forces[:, :2] * level, axis=1), -most, most)
+        rise = np.clip(-forces[:, 2], -most, most)
+        return -np.column_stack([push[:, None] * normals[:, :2] + side[:, None] * level, rise])
 
 
 class DoorController(DoorTracker):
@@ -115,7 +138,7 @@ class DoorController(DoorTracker):
         touch = self.touched if np.isfinite(self.touched) else (schedule.events or (np.inf,))[0]
         target = np.array([self.push.force(s - touch) if s >= touch else 0.0 for s in times])
         open_at = self._opens(times, angles)
-        target *= np.clip(1.0 - (times - open_at) / RELAX, 0.0, 1.0)
+        target = np.minimum(target, self.fades_from) * np.clip(1.0 - (times - open_at) / RELAX, 0.0, 1.0)
         if self.phase == "approach":
             target = np.minimum(target, self._anticipated(until))
         target = np.maximum(target - self.excess, 0.0)

@@ -112,6 +112,7 @@ class DoorTracker(BallController):
         self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
         self.touched = self.relaxed = self.released = np.inf
+        self.fades_from = np.inf  # the push [N] when the door was open: one that ran away took less than was wanted
         self._loaded = np.inf  # when the push passed what the door resists [s]
         self.fit, self._on_panel = LeverFit(geometry.lever(push.start, 0.0)), 0.0  # time [s] of the last touch
         self.moving, self._mean_rate = False, 0.0
@@ -215,7 +216,7 @@ class DoorTracker(BallController):
         if touching and self.geometry.touches(end_effector):
             angle = self.geometry.angle(end_effector)
             self.door = np.array([angle, self.geometry.rate(end_effector, velocity, angle)])
-        elif self.phase == "push":
+        elif self.phase == "push" or self.door[1] > 0.0:  # one that was let go does not stop at once
             self.door = self._coasting(end_effector, velocity)
         else:
             self.door = np.array([max(self.door[0] - self._closing() * self.period, 0.0), 0.0])
@@ -225,7 +226,7 @@ class DoorTracker(BallController):
         self.moving = bool(touching and abs(self._mean_rate) > limit)
         self._identify(end_effector)
         if self.phase == "push" and (self.door[0] >= self.push.open or t >= self.push.give_up - RELAX):
-            self.phase, self.relaxed = "relax", t
+            self.phase, self.relaxed, self.fades_from = "relax", t, max(self._seen, 0.0)
         if self.phase != "release" and self._ends(t):
             self.phase, self.released, self._let_go = "release", t, end_effector.copy()
 

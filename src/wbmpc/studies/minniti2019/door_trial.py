@@ -20,7 +20,7 @@ from wbmpc.mpc.mpc import MPC
 from wbmpc.ocp import Reference
 from wbmpc.simulation.lockstep import Progress
 from wbmpc.studies.force_tip import TIP_MASS, TIP_RADIUS
-from wbmpc.studies.minniti2019.door_control import FAR, DoorController, FreeOfForce
+from wbmpc.studies.minniti2019.door_control import FAR, DoorController, PossibleForce
 from wbmpc.studies.minniti2019.door_figures import Trial
 from wbmpc.studies.minniti2019.door_model import DoorGeometry
 from wbmpc.studies.minniti2019.door_plant import HALF_THICKNESS, Door, DoorPlant
@@ -106,7 +106,7 @@ def push_door(
     mpc = MPC(
         door_problem(robot, planning, chosen.cost, chosen.speed_slack, push, settings.scheme, geometry.opening),
         planning.solver(), planning.rate,
-        guess=FreeOfForce(), plan_only_limits=True,  # the friction cone, whose axes are the door's
+        guess=PossibleForce(getattr(settings.scheme.cone, "min_push", None)), plan_only_limits=True,  # the friction cone, whose axes are the door's
     )  # fmt: skip
     plant = made(settings, robot, home, torque, seed)
     timing = Timing.of(plant.timestep, settings.control.rate, settings.mpc.rate, settings.mpc.computation_delay)
