@@ -8,10 +8,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from wbmpc.interrupts import Interruptible
 from wbmpc.kernel import Kernel
 from wbmpc.model.numeric import Reentrant
 from wbmpc.ocp import Transcription
-from wbmpc.solver.guards import Interruptible
 from wbmpc.solver.receding import TableAddresses, Tables, forget, receding_solve
 from wbmpc.solver.reference_solver import InterpretedSolver
 from wbmpc.solver.settings import SQP
