@@ -103,7 +103,8 @@ def ended(cell: Cell) -> bool:
 
 
 def loads(cells: list[Cell], commit: str) -> str:
-    """For each experiment conditions, and robots where there are several, down and metrics across; how many runs did not complete."""
+    """For each experiment conditions, and robots where there are several, down and metrics with their goals across; how many runs did not
+    complete."""
     text = ""
     for experiment in dict.fromkeys(cell["experiment"] for cell in cells):
         mine = [cell for cell in cells if cell["experiment"] == experiment]
@@ -116,7 +117,8 @@ def loads(cells: list[Cell], commit: str) -> str:
             name = ", ".join(filter(None, (several * (cell.get("robot") or ""), cell["condition"])))
             rows.append([name, f"{unsuccessful}; {outcomes(cell)}" if ended(cell) else unsuccessful, *shown])
         text += f"### `{experiment}`\nMedian (95 %, worst), commit {commit}.\n\n"
-        text += table(["robot" if several else "condition", "failed", *(f"`{m}`" for m in names)], rows)
+        heads = [f"`{m}` {limits(mine[0]['metrics'][m])}".removesuffix(" –") for m in names]
+        text += table(["robot" if several else "condition", "failed", *heads], rows)
     return text
 
 
