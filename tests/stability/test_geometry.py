@@ -30,7 +30,7 @@ def some_feet(seed: int) -> np.ndarray:
 )
 def test_table_one_of_the_paper_to_two_decimals(name: str, polygon: str, double: str) -> None:
     swerve = robot("swerve-ur10")
-    feet = swerve.base.geometry.steer_axes(stability.leg_angles(swerve, name))
+    feet = swerve.base.geometry.steer_axes(stability.configuration_positions(swerve, name))
     regions = stability.overlap_regions(feet)
     assert f"{stability.area(stability.support_polygon(feet)):.2f}" == polygon
     assert f"{regions[0].area:.2f}" == double

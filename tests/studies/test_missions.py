@@ -193,7 +193,7 @@ def test_the_report_of_a_tour_shows_every_joint_with_its_limits() -> None:
 @thorough
 def test_the_baseline_drives_and_reconfigures() -> None:
     bench = MissionRun.of(QUIET, SWERVE, 0)
-    legs = drive_missions.leg_angles(SWERVE, "X")
+    legs = drive_missions.configuration_positions(SWERVE, "X")
     out = legs + 0.2 * np.sign(legs)
     mission = Mission((Leg(1.0, 8.0, (1.5, 0.0, 0.0)),), legs, (Reconfiguration(3.0, out),), ((2.0, 1.0), (8.0, 0.0)))
     _baseline(bench, QUIET, mission, 10.0)

@@ -74,7 +74,8 @@ class Perturbation(BaseModel):
         """
         if given is None or type(given) is cls:
             return given or cls()
-        changed = {n: v for n, v in given.model_dump(exclude_defaults=True).items() if v != 0 or n in cls.model_fields}
+        usual = type(given).model_fields
+        changed = {n: v for n, v in given if v != usual[n].default and (v != 0 or n in cls.model_fields)}
         try:
             return cls.model_validate(changed)
         except ValidationError as error:

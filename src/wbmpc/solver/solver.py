@@ -157,7 +157,7 @@ class Solver(SolverResults):
 
         Where the solver refines the grid (:class:`SLQ`), trajectories on the problem's own grid are taken too: states are
         linear between its nodes, inputs hold over its intervals. Raises :class:`InputError` for other shapes, and
-        :class:`NotFinite` for numbers that are not finite, or whose squares are not; the trajectories then stay as they were.
+        :class:`NotFinite` for numbers that are not finite; the trajectories then stay as they were.
         """
         with self.exclusive.between("Solver.warm_start"):
             start_from(self, x, u)

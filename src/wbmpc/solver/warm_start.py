@@ -42,7 +42,7 @@ def trajectories(
     """States (nx,) or (N + 1, nx) and inputs (nu,) or (N, nu), zero when left out, on the problem's grid; given on that or on the
     coarser grid ``own``.
 
-    Raises :class:`InputError` for other shapes, and :class:`NotFinite` for numbers that are not finite, or whose squares are not.
+    Raises :class:`InputError` for other shapes, and :class:`NotFinite` for numbers that are not finite.
     """
     d, fine = ocp.dynamics, ocp.grid
     nx, nu = d.state.size, d.input.size
@@ -59,15 +59,14 @@ def trajectories(
 
 
 def _finite(name: str, layout: Layout, value: np.ndarray) -> np.ndarray:
-    """A guess as numbers, all of them and their squares finite: from others no solve ever starts."""
+    """A guess as numbers, all of them finite."""
     values = real_numbers(f"warm start, {name}", value)
-    with np.errstate(over="ignore"):
-        bad = np.argwhere(~np.isfinite(np.atleast_1d(np.square(values))))
+    bad = np.argwhere(~np.isfinite(np.atleast_1d(values)))
     if not bad.size:
         return values
     *node, i = (int(k) for k in bad[0])
     component = f"{name}[{i}]" + (f" ('{layout.names[i]}')" if i < layout.size else "")
     where = f" at node {node[-1]}" if node else ""
     raise NotFinite(
-        f"warm start, {name}: {component}{where} must be finite, and its square, got {np.atleast_1d(values)[tuple(bad[0])]}"
+        f"warm start, {name}: {component}{where} must be finite, got {np.atleast_1d(values)[tuple(bad[0])]}"
     )
