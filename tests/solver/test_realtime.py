@@ -245,15 +245,16 @@ def test_solves_hold_no_interpreter_lock() -> None:
     start = time.perf_counter()
     solver.iterate(x0)
     duration = time.perf_counter() - start
-    entry, address = solver._entry, LIBRARY.address(f"{receding_solve.signature.symbol}.entry")
+    backend: Any = solver._backend
+    entry, address = backend._entry, LIBRARY.address(f"{receding_solve.signature.symbol}.entry")
     types: Any = entry.argtypes if entry.argtypes is not None else type(entry)._argtypes_
     holding = ctypes.PYFUNCTYPE(None, *types)(address)
     free, held, idle = [], [], []
     for _ in range(16):  # in turns, and again: the machine may be busy
         idle.append(lateness(lambda: time.sleep(duration), 0.25))
-        solver._entry = entry
+        backend._entry = entry
         free.append(lateness(lambda: solver.iterate(x0), 0.25))
-        solver._entry = holding
+        backend._entry = holding
         held.append(lateness(lambda: solver.iterate(x0), 0.25))
         regular = min(free) < 0.4 * min(held) and min(free) < 5.0 * min(idle) + 0.2 * duration
         if regular and len(free) > 2:
