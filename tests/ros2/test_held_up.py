@@ -4,7 +4,7 @@ hand."""
 from __future__ import annotations
 
 from contextlib import suppress
-from itertools import product
+from itertools import groupby, product
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +17,7 @@ from wbmpc.bases import base_type
 from wbmpc.bases.wheels.control import wheels_base
 from wbmpc.model.robot import RobotModel, load_robot
 from wbmpc.model.wheels import rolling_inverse_kinematics
-from wbmpc.ros2.joints import Waited
+from wbmpc.ros2.joints import Lag, Waited
 from wbmpc.ros2.localization import ExternalPose, PoseSource
 from wbmpc.ros2.robot import BusRobot
 from wbmpc.ros2.settings import RosSettings, joint_groups, settings_of
@@ -88,6 +88,21 @@ def test_what_waited_is_no_estimate_of_now(name: str, seconds: float, monkeypatc
             assert not of_now or abs(seen[1][robot.state["base"]][0] - true) < 0.025, k - held.stop
             silent, shown = silent + (not of_now), shown + (of_now and k > held.stop + 20)
     assert silent > 10 and shown > 70
+
+
+@pytest.mark.parametrize("rate", [5.0, 20.0, 40.0, 100.0, 500.0])
+@pytest.mark.parametrize(("jitter", "drift"), [(0.0, 1e-4), (0.0, -1e-4), (0.03, 1e-4)])
+def test_joint_states_of_slow_robots_and_busy_networks_are_of_now(rate: float, jitter: float, drift: float) -> None:
+    """An hour of a clock that drifts, or minutes of a network that delays each message by up to ``jitter`` [s]: no message waits long. By hand."""
+    count = 3000 if jitter else 20000
+    stamps = np.arange(count) / rate
+    arrivals = np.maximum.accumulate((1.0 + drift) * stamps + jitter * np.random.default_rng(0).random(count))
+    lag = Lag()
+    late = [lag.late(*both) for both in zip(np.diff(arrivals), np.diff(stamps), strict=True)]
+    longest = max((sum(1 for _ in run) for one, run in groupby(late) if one), default=0)
+    assert np.mean(late) <= (0.3 if jitter else 0.0)
+    assert longest / rate < max(0.15, 4.0 / rate)
+    assert lag.late(2.0, 1.0 / rate)
 
 
 def located(stamp: float, way: float, frame: str) -> Any:

@@ -195,6 +195,22 @@ class Waited:
         return stamps if waited else arrivals
 
 
+class Lag:
+    """Whether messages come later than they were sent, by more than :data:`OVERTAKEN` [s], because a process or a bus was held up. Slow
+    messages that come as far apart as their stamps say end that: clocks drift."""
+
+    def __init__(self) -> None:
+        self._waited = Waited(OVERTAKEN)
+
+    def late(self, arrivals: float, stamps: float) -> bool:
+        """Of a message that came ``arrivals`` [s] after the one before, and whose stamp is ``stamps`` [s] after that one's."""
+        if arrivals > OVERTAKEN >= abs(arrivals - stamps):
+            self._waited = Waited(OVERTAKEN)
+        else:
+            self._waited.interval(arrivals, stamps)
+        return self._waited.others
+
+
 class Standstill:
     """Whether joint states, or those of the wheels alone, do not change, under new stamps, while drives of theirs have commands to move: a
     driver that has lost its encoders repeats what it read last, and where commands lead is unknown."""

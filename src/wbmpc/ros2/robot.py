@@ -26,10 +26,10 @@ from wbmpc.ros2.joints import (
     Inertial,
     JointReader,
     JointSample,
+    Lag,
     Repetition,
     Series,
     Standstill,
-    Waited,
     check_turn,
     read_imu,
 )
@@ -76,7 +76,7 @@ class BusRobot:
         self._repetition = Repetition()
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._behind = np.inf  # least time [s] from a stamp to its arrival
-        self._lag, self._of_now = Waited(OVERTAKEN), -np.inf  # from which arrival on [s] messages are of when they come
+        self._lag, self._of_now = Lag(), -np.inf  # from which arrival on [s] messages are of when they come
         self.lateness = self._reader.lateness
         self.sent = 0  # commands since the last start
         self._armed = False
@@ -129,9 +129,9 @@ class BusRobot:
         if previous is None or sample.stamp != previous[0].stamp or sample.stamp == 0.0:
             grown = 0.0 if previous is None else _CLOCK_DRIFT * max(arrival - previous[1], 0.0)
             self._behind = min(arrival - sample.stamp, self._behind + grown)
-            if previous is not None:
-                self._lag.interval(arrival - previous[1], sample.stamp - previous[0].stamp)
-                self._of_now = np.inf if self._lag.others else min(self._of_now, arrival)
+            if previous is not None and sample.stamp != 0.0:
+                late = self._lag.late(arrival - previous[1], sample.stamp - previous[0].stamp)
+                self._of_now = np.inf if late else min(self._of_now, arrival)
             self._joints = sample, arrival
             self._waiting.append(self._joints)
 
