@@ -79,7 +79,9 @@ class Perturbation(BaseModel):
         try:
             return cls.model_validate(changed)
         except ValidationError as error:
-            unknown = ", ".join(f"plant.{fault['loc'][0]}" for fault in error.errors())
+            unknown = ", ".join(f"plant.{e['loc'][0]}" for e in error.errors() if e["type"] == "extra_forbidden")
+            if not unknown:
+                raise
             raise InputError(
                 f"{unknown}: the simulated robot '{description.name}' (base type '{description.base.type}') does not read it; "
                 f"valid: {', '.join(sorted(cls.model_fields))}"

@@ -38,6 +38,8 @@ _LOG = logging.getLogger("wbmpc")
 BOUNDS = np.array([0.5, 0.1, 0.1]), np.array([50.0, 200.0, 50.0])
 #: How long [s] the force fades when the door is open.
 RELAX = 0.8
+#: A door that was let go is believed to open no farther [rad]: nothing measures it.
+OPENS = 0.5 * np.pi
 #: A door moves when it is faster than this [rad/s] on average over :data:`SPEED_TIME`, and rests below a third of it.
 MOVING = 0.03
 #: Above this rate [rad/s] the motion shows its impedance.
@@ -112,7 +114,7 @@ class DoorTracker(BallController):
         self.force = np.zeros(3)  # of the world on the end effector, world axes [N]
         self.door = np.zeros(2)
         self.touched = self.relaxed = self.released = np.inf
-        self.fades_from = np.inf  # the push [N] when the door was open: one that ran away took less than was wanted
+        self.fades_from = np.inf  # the push [N] when it began to fade: a door that ran away took less than was wanted
         self._loaded = np.inf  # when the push passed what the door resists [s]
         self.fit, self._on_panel = LeverFit(geometry.lever(push.start, 0.0)), 0.0  # time [s] of the last touch
         self.moving, self._mean_rate = False, 0.0
@@ -251,7 +253,7 @@ class DoorTracker(BallController):
         as far open as the end effector is, which does not touch it."""
         inertia, damping, resistance = self.impedance
         rate = max(self.door[1] - (damping * self.door[1] + resistance) / inertia * self.period, 0.0)
-        angle = self.door[0] + rate * self.period
+        angle = min(self.door[0] + rate * self.period, max(self.door[0], OPENS))
         if self.geometry.touches(end_effector) and (reached := self.geometry.angle(end_effector)) > angle:
             angle, rate = reached, max(rate, self.geometry.rate(end_effector, velocity, reached))
         return np.array([angle, rate])
