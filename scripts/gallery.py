@@ -92,7 +92,7 @@ def part(page: Page, run: Path, name: str) -> str:
     if title:
         pictures[title] = f"![{title}](images/gallery/{name}.png)"
     summary = load(name).summary
-    commit = metrics["versions"].get("commit", "unknown")[:10]
+    commit = metrics["versions"].get("commit", "unknown")
     command = re.sub(r" --out \S+", "", metrics["command"])
     ended = f"{metrics['outcome'].replace('_', ' ')}, commit {commit}"
     text = f"### `{name}`\n{summary[:1].upper()}{summary[1:]}.\n\n`{command}`: {ended}.\n\n"
