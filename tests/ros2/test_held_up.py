@@ -77,7 +77,7 @@ class Driven:
 
 @pytest.mark.parametrize("seconds", [0.06, 0.3, 2.0])
 @pytest.mark.parametrize("name", ["swerve-ur10", "differential-ur10", "mecanum-ur10", "tidybot", "pr2"])
-def test_what_waited_is_no_estimate_of_now(name: str, seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_waited_is_no_current_estimate(name: str, seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Odometry is published with the time at which its joint states came. Those of the beginning of a hold-up come at its end."""
     robot = load_robot(name)
     settings = settings_of(robot)()
@@ -91,15 +91,15 @@ def test_what_waited_is_no_estimate_of_now(name: str, seconds: float, monkeypatc
             adapter.stand(measurement)
         if (seen := adapter.snapshot()) is not None and k > 1000:
             true = SPEED * ((seen[0] - 100.0) - 800 * PERIOD)
-            of_now = robot_io.of_now(seen[0])
-            assert not of_now or abs(seen[1][robot.state["base"]][0] - true) < 0.025, k - held.stop
-            silent, shown = silent + (not of_now), shown + (of_now and k > held.stop + 20)
+            is_current = robot_io.is_current(seen[0])
+            assert not is_current or abs(seen[1][robot.state["base"]][0] - true) < 0.025, k - held.stop
+            silent, shown = silent + (not is_current), shown + (is_current and k > held.stop + 20)
     assert silent > 10 and shown > 70
 
 
 @pytest.mark.parametrize("rate", [5.0, 20.0, 40.0, 100.0, 500.0])
 @pytest.mark.parametrize(("jitter", "drift"), [(0.0, 1e-4), (0.0, -1e-4), (0.03, 1e-4)])
-def test_joint_states_of_slow_robots_and_busy_networks_are_of_now(rate: float, jitter: float, drift: float) -> None:
+def test_joint_states_of_slow_robots_and_busy_networks_are_current(rate: float, jitter: float, drift: float) -> None:
     """An hour of a clock that drifts, or minutes of a network that delays each message by up to ``jitter`` [s]: no message waits long. By hand."""
     count = 3000 if jitter else 20000
     stamps = np.arange(count) / rate

@@ -17,7 +17,7 @@ BEAT = 0.02
 WAITED = 0.1
 #: A process that has worked for this share of a time was not held up.
 OWN_WORK = 0.5
-#: A goal that may have waited for longer than this [s] is not of now: who sent it has long seen that nothing moves.
+#: A goal that may have waited for longer than this [s] is not current: who sent it has long seen that nothing moves.
 OLD = 1.0
 #: So long [s] after a hold-up messages of its time may still come, and others wait for them: what found no room in the process's
 #: buffers reliable writers offer again, after pauses that grow until they forget a reader that is silent.
@@ -98,10 +98,10 @@ class HoldUps:
     def too_old(self, what: str, limit: float = OLD) -> str:
         """Why ``what`` has just come and does not count, for it may have waited longer than a limit [s]; empty if it does."""
         if self.waited() > limit:
-            return f"{what} is not of now: it came while the node was held up"
+            return f"{what} is not current: it came while the node was held up"
         now = self.wall()
         if any(length > limit and now < until for length, until in self._recent):
-            return f"{what} may not be of now: the node was held up within the last {AGAIN:g} s"
+            return f"{what} may not be current: the node was held up within the last {AGAIN:g} s"
         return ""
 
     def check(self, came: float) -> None:

@@ -189,7 +189,7 @@ class Publishers:
     def _odometry(self) -> None:
         c = self.controller
         seen, e = c.adapter.snapshot(), c.adapter.estimate()
-        if seen is None or e is None or not c.robot_io.of_now(seen[0]):
+        if seen is None or e is None or not c.robot_io.is_current(seen[0]):
             return
         (t, x), frames = seen, c.settings.frames
         now = c.stamp_of(t)

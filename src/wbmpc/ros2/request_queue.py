@@ -225,7 +225,7 @@ class RequestQueue:
             self._count_speed(target, over)
 
     def _count_speed(self, target: Array, over: float) -> None:
-        """Take a speed (3) that is ``over`` 1 too fast, if it is of now."""
+        """Take a speed (3) that is ``over`` 1 too fast, if it is current."""
         previous, self._spoken_at = self._spoken_at, self.elapsed()
         pause, old = self.settings.safety.cmd_vel, self._too_old("the speed")
         if np.any(target) and old:

@@ -76,7 +76,7 @@ class BusRobot:
         self._repetition = Repetition()
         self._waiting: deque[tuple[JointSample, float]] = deque(maxlen=_WAITING)  # joint states that were not read
         self._behind = np.inf  # least time [s] from a stamp to its arrival
-        self._lag, self._of_now = Lag(), -np.inf  # from which arrival on [s] messages are of when they come
+        self._lag, self._current_from = Lag(), -np.inf  # arrival [s] from which on messages come when they are sent
         self.lateness = self._reader.lateness
         self.sent = 0  # commands since the last start
         self._armed = False
@@ -131,7 +131,7 @@ class BusRobot:
             self._behind = min(arrival - sample.stamp, self._behind + grown)
             if previous is not None and sample.stamp != 0.0:
                 late = self._lag.late(arrival - previous[1], sample.stamp - previous[0].stamp)
-                self._of_now = np.inf if late else min(self._of_now, arrival)
+                self._current_from = np.inf if late else min(self._current_from, arrival)
             self._joints = sample, arrival
             self._waiting.append(self._joints)
 
@@ -267,10 +267,10 @@ class BusRobot:
             return self.clock.stamp() - self._joints[0].stamp
         return time.perf_counter() - self._joints[1]
 
-    def of_now(self, t: float) -> bool:
-        """Whether what is known of a time t [s] of the runner's clock is: where that is when messages came, those that waited are older."""
+    def is_current(self, t: float) -> bool:
+        """Whether an estimate of a time t [s] of the runner's clock is no older than that: by arrivals, messages that waited look newer."""
         by_stamps = isinstance(self.clock, BusClock) or self.adapter.must_keep_running
-        return by_stamps or t + self.clock.origin >= self._of_now
+        return by_stamps or t + self.clock.origin >= self._current_from
 
     def arm(self) -> None:
         """From now on faults count; the robot is at rest."""
